@@ -264,9 +264,7 @@ TURN = LINKAGE.trace("A")
 TIMED = {
     "mobility": lambda b: FLAT.mobility(FLAT.q("flat"), budget=b),
     "classify": lambda b: CAR.classify(budget=b),
-    "idealised": lambda b: rounded(exact("bennett"), 6, np.random.default_rng(0)).idealised(
-        budget=b
-    ),
+    "idealise": lambda b: rounded(exact("bennett"), 6, np.random.default_rng(0)).idealise(budget=b),
     "manoeuvre": lambda b: CAR.manoeuvre([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], radius=1.0, budget=b),
     "drive of what rolls": lambda b: CAR.drive(
         {"drive.x": [0.0, 1e9], "drive.rz": [0.0, 1.0]}, start=[0.0, 0.0, 0.0], budget=b
@@ -444,7 +442,7 @@ def asked(verb: str) -> Any:
 
 
 ASK_MORE = {
-    "idealised",
+    "idealise",
     "classify",
     "task_space",
     "ik_sweep",

@@ -448,7 +448,10 @@ WRONG_KINDS = {
     "tasks.count": (lambda: kempe.tasks.count(PUMA, [{}]), "constraint is"),
     "tasks.jacobian": (lambda: kempe.tasks.jacobian(PUMA, {"q1": 1}, PUMA.mid), "constraint is"),
     "tasks.miss": (lambda: kempe.tasks.miss(PUMA, np.eye(4), PUMA.mid), "constraint is"),
-    "convert.expanded": (lambda: kempe.convert.expanded([1]), "system is .*; it must be a System"),
+    "convert.expand_joints": (
+        lambda: kempe.convert.expand_joints([1]),
+        "system is .*; it must be a System",
+    ),
     "convert.maximal": (lambda: kempe.convert.maximal((1,)), "system is .*; it must be a System"),
     "convert.maximal_q": (
         lambda: kempe.convert.maximal_q([{}]),

@@ -302,7 +302,7 @@ CASES = {
     ),
     "task_space": Case("task_space", lambda: TWO.task_space("e"), "SOLVED"),
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
-    "idealised": Case("idealised", lambda: rounded().idealised(), "SOLVED"),
+    "idealise": Case("idealise", lambda: rounded().idealise(), "SOLVED"),
     "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
     "mobility failing": Case("mobility", lambda: apart().mobility(), "NOT_FOUND"),
     "mobility of a ball": Case("mobility", lambda: BALL.mobility(), "SOLVED"),
@@ -371,7 +371,7 @@ REPORTING = {
     "workspace",
     "mobility",
     "classify",
-    "idealised",
+    "idealise",
     "independent",
     "closed_form",
     "ik_plan",
@@ -416,7 +416,7 @@ NO_RESULTS = {
     "symbolic",
     "with_limits",
     "with_parameters",
-    "opened",
+    "open_loops",
 }
 """Members of `System` that give a system, a set, poses, a bound form or a drawing."""
 
@@ -482,7 +482,7 @@ def test_every_verb_that_returns_a_result_is_in_the_table():
                 and set(re.findall(r"\w+", str(returned(function)))) - plain
             ):
                 verbs.add(name)
-    assert {"ik", "mobility", "trace", "idealised"} <= verbs
+    assert {"ik", "mobility", "trace", "idealise"} <= verbs
     own = {NAMED.get(c.verb, c.verb) for c in CASES.values()}
     assert verbs - NO_RESULTS == own - OF_RESULTS, (
         "a verb of System is missing in the table, or is no verb"

@@ -124,7 +124,7 @@ def test_sentences_of_shipped_models_agree(name):
         lambda: "\n".join(j.forbids(system.dim) for j in system.structure.joints.values()),
         lambda: system.assemble(dict.fromkeys(names, 0.1)),
         system.assemble,
-        lambda: system.opened(),
+        lambda: system.open_loops(),
     ]
     if names:
         calls += [
@@ -171,7 +171,7 @@ def about(system: kempe.System) -> str:
         lambda: SystemFacts(system),
         lambda: "\n".join(list_tree_lines(system)),
         lambda: system.task_space(tip),
-        system.opened,
+        system.open_loops,
         assemble,
         lambda: assemble(dict.fromkeys(names, 0.1)),
         lambda: assemble({names[0]: np.array([0.1])}),

@@ -402,20 +402,20 @@ def test_a_loop_is_opened():
     said of it.
     """
     loop = kempe.load("four_bar")
-    tree = loop.opened("C")
+    tree = loop.open_loops("C")
     assert (tree.kind, tree.joint_names, tree.mobility().dof) == ("tree", ("A", "B", "D"), 3)
     q = dict(zip(loop.coordinate_names, loop.q("closed"), strict=True))
     same = [q[name] for name in tree.coordinate_names]
     assert tree.q("closed").tolist() == same
     for body in loop.body_names:
         np.testing.assert_allclose(tree.fk(same, body), loop.fk(loop.q("closed"), body), atol=1e-14)
-    assert kempe.load("jansen").opened().kind == "tree"
+    assert kempe.load("jansen").open_loops().kind == "tree"
     with pytest.raises(UnknownNameError, match="there are: 'A', 'B', 'C', 'D'"):
-        loop.opened("E")
+        loop.open_loops("E")
     with pytest.raises(InputError, match="no loop to open: it is a tree"):
-        tree.opened()
+        tree.open_loops()
     with pytest.raises(DescriptionError, match="no joints lead"):
-        loop.opened(["A", "B"])
+        loop.open_loops(["A", "B"])
 
 
 @both_ways

@@ -290,7 +290,7 @@ def test_26_figure_of_spherical():
 def test_27_combinations_of_revolute_and_prismatic(kind):
     """'most complex joint can be modelled as a combination of revolute and prismatic joints'"""
     system = kempe.load(f"joint_{kind}")
-    parts = kempe.convert.expanded(system)
+    parts = kempe.convert.expand_joints(system)
     assert {j.type.type_name for j in parts.structure.joints.values()} <= {"revolute", "prismatic"}
     assert parts.mobility().dof == len(parts.joint_names) == system.mobility().dof
 
@@ -406,7 +406,7 @@ def test_38_find_a_parametrization():
 
 def test_39_a_loop_is_opened(four_bar):
     """'Figure: open-loop and closed-loop systems'"""
-    tree = four_bar.opened("C")
+    tree = four_bar.open_loops("C")
     assert (four_bar.kind, tree.kind) == ("1 loop", "tree") and set(four_bar.joint_names) - set(
         tree.joint_names
     ) == {"C"}

@@ -278,7 +278,7 @@ def of_loops() -> Iterable[tuple[str, Any]]:
     yield "relative_motion", linkage.loops.relative_motion(closed, *bodies[:2])
     yield "independent", linkage.independent(closed)
     near = rounded()
-    yield "idealised", near.idealised()
+    yield "idealise", near.idealise()
     yield "assemble the nearest exact one", near.assemble({"A": 0.3})
     yield "mobility", linkage.mobility()
     yield "mobility in space", kempe.load("bennett").mobility()
@@ -353,7 +353,7 @@ def of_descriptions() -> Iterable[tuple[str, Any]]:
     law = bars()
     law.equation("law", lambda x: x["A"] - 2.0 * np.sin(x["B"]), of=("A", "B"))
     yield "equation as a function", law
-    yield "expanded", kempe.convert.expanded(kempe.load("two_link"))
+    yield "expand_joints", kempe.convert.expand_joints(kempe.load("two_link"))
     yield "maximal", kempe.convert.maximal(kempe.load("two_link"))
     yield "budget", kempe.Budget(points=3)
     yield "tolerance", kempe.Tolerance(1e-6, 1e-6)

@@ -20,7 +20,7 @@ DRAWN = {
     5: ["plot_joints()"],
     6: ['axes="all"', "angles=True"],
     7: ["in_plane.plot", "in_space.plot"],
-    8: ['opened("J5")', "assembly_modes", 'loop.q("closed")'],
+    8: ['open_loops("J5")', "assembly_modes", 'loop.q("closed")'],
     9: ["plot_spaces", 'axes=("ground", "e")'],
     10: ["plot_spaces"],
     11: ["dimensions=True"],

@@ -13,7 +13,7 @@ True
 """
 
 from kempe.assemble.from_poses import from_maximal
-from kempe.forward.expanded import expanded
+from kempe.forward.expand_joints import expand_joints
 from kempe.forward.maximal import maximal, maximal_q, to_maximal
 from kempe.forward.neighbours import (
     Correspondence,
@@ -27,7 +27,7 @@ from kempe.forward.neighbours import (
 
 __all__ = [
     "Correspondence",
-    "expanded",
+    "expand_joints",
     "from_joint_state",
     "from_maximal",
     "from_mujoco",

@@ -647,16 +647,16 @@ class System(Model, Pictured):
             budget=budget,
         )
 
-    def idealised(
+    def idealise(
         self, tolerance: float | str | None = "measured", *, budget: Budget | None = None
     ) -> Idealised | None:
         """Find the nearest system that closes exactly and moves, and the differences.
 
         See `kempe.assemble.nearest_exact`.
         """
-        from kempe.assemble.nearest_exact import idealised
+        from kempe.assemble.nearest_exact import idealise
 
-        return idealised(self, tolerance, budget=budget)
+        return idealise(self, tolerance, budget=budget)
 
     @explain_errors
     def assembly_modes(
@@ -859,7 +859,7 @@ class System(Model, Pictured):
 
         return with_parameters(self, numbers)
 
-    def opened(self, joints: str | Iterable[str] | None = None) -> System:
+    def open_loops(self, joints: str | Iterable[str] | None = None) -> System:
         """Return the system without the given joints: the open chain or tree of a closed loop.
 
         See `kempe.system`.

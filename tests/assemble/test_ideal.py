@@ -112,7 +112,7 @@ def test_rounded_mechanisms_move_within_what_is_measured(name, digits, hunt):
 @pytest.mark.parametrize("name", NAMES)
 def test_exact_mechanisms_are_left_alone(name):
     system = exact(name)
-    assert system.idealised(None) is None and system.idealised() is None
+    assert system.idealise(None) is None and system.idealise() is None
     assert system.assemble().within is None and system.mobility().within is None
 
 
@@ -125,7 +125,7 @@ def test_mechanisms_that_are_off_by_more_than_rounding_are_locked(name, hunt):
         system = exact(name)
         given = perturbed(system, 10.0 ** rng.uniform(-3, -2) * 0.3, rng)
         m = given.mobility()
-        assert given.idealised(None) is None and m.dof in (0, None) and m.within is None
+        assert given.idealise(None) is None and m.dof in (0, None) and m.within is None
 
 
 def random_loop(rng: np.random.Generator) -> System:
@@ -145,7 +145,7 @@ def test_random_loops_are_no_mechanisms_within_any_tolerance(tolerance, hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(20)):
         system = random_loop(rng)
-        assert system.idealised(tolerance) is None and system.mobility().dof == 0
+        assert system.idealise(tolerance) is None and system.mobility().dof == 0
 
 
 def spatial_four_bar(angle: float) -> System:
@@ -164,7 +164,7 @@ def spatial_four_bar(angle: float) -> System:
 def test_an_angle_near_a_right_one_is_made_one():
     given = spatial_four_bar(1.5708)
     right = spatial_four_bar(math.pi / 2)
-    found: Any = given.idealised()
+    found: Any = given.idealise()
     assert (
         "1.5708" in found.changes[0].old
         and found.changes[0].new == "roll pi/2"
@@ -186,7 +186,7 @@ def test_answers_say_the_same_after_pickling():
         s.trace("A", q),
         s.mobility(q),
         s.independent(q),
-        s.idealised(),
+        s.idealise(),
     ):
         again = pickle.loads(pickle.dumps(answer))
         assert str(again) == str(answer) and "within" in str(again)
@@ -282,7 +282,7 @@ def test_hunt_families_of_the_literature_move_when_rounded(family, hunt):
         given = rounded(system, digits, rng)
         if 10.0**-digits > 0.4 * nearest_exact.WIDEST * compute_characteristic_length(system):
             continue  # the largest tolerance may be smaller than what rounding has changed
-        found: Any = given.idealised()
+        found: Any = given.idealise()
         assert (
             found is not None
             and found.freedoms == freedoms
@@ -303,16 +303,16 @@ def test_a_platform_whose_rounded_legs_nearly_close_at_single_places_moves():
     T[:3, :3] = rot_z(rng.uniform(-3, 3)) @ rot_y(rng.uniform(-1, 1)) @ rot_x(rng.uniform(-3, 3))
     T[:3, 3] = rng.uniform(-0.5, 0.5, 3)
     given = rounded(kempe.load("delta_uu"), 3, rng, ground=T)
-    found: Any = given.idealised()
+    found: Any = given.idealise()
     assert found.freedoms == 3 and 1e-4 < found.tolerance < 1e-3
-    assert given.idealised(None) is None
+    assert given.idealise(None) is None
 
 
 @pytest.mark.parametrize(("seed", "digits"), [(5, 3), (6, 4)])
 def test_a_mechanism_that_closes_exactly_only_where_it_is_flat_moves(seed, digits):
     """Far from home the given numbers close, and nothing moves there: the rank is read at home."""
     given = rounded(exact("double_parallelogram"), digits, np.random.default_rng(seed))
-    found: Any = given.idealised()
+    found: Any = given.idealise()
     assert found is not None and found.freedoms == 1 and found.tolerance < 3.0 * 10.0**-digits
     assert given.mobility(tolerance="measured").dof == 1
 
@@ -327,7 +327,7 @@ def test_a_mechanism_drawn_flat_moves_when_rounded(seed, digits):
     m.postures = {}
     assert int(rng.integers(3, 7)) == digits
     given = rounded(m.build(), digits, rng)
-    found: Any = given.idealised()
+    found: Any = given.idealise()
     assert found is not None and found.freedoms == 1 and found.tolerance < 3.0 * 10.0**-digits
 
 
@@ -337,7 +337,7 @@ def test_hunt_mechanisms_drawn_flat_move_when_rounded(hunt):
     m.postures = {}
     for _ in range(hunt.cases(20)):
         digits = int(rng.integers(3, 7))
-        found: Any = rounded(m.build(), digits, rng).idealised()
+        found: Any = rounded(m.build(), digits, rng).idealise()
         assert found is not None and found.freedoms == 1 and found.tolerance < 3.0 * 10.0**-digits
 
 

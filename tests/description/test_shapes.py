@@ -184,7 +184,7 @@ def test_shapes_are_kept(tmp_path: Path):
     assert m.subchain("b", "c").bodies["b"].shapes == shapes
     looped = m.copy()
     looped.revolute("s", looped.ground, "c")
-    assert looped.build().opened().mechanism.bodies["b"].shapes == shapes
+    assert looped.build().open_loops().mechanism.bodies["b"].shapes == shapes
     m.shape("b", "sphere", radius=2)
     assert len(host.bodies["x_b"].shapes) == len(shapes)
 

@@ -93,14 +93,16 @@ def test_the_arm_of_the_lecture():
     arm = kempe.load("two_link")
     a = arm.ik_all([0.6, 0.3], "e")
     assert a.names.tolist() == ["elbow-down", "elbow-up"]
-    assert np.sin(a.q[a.named("elbow-up")][0, 1]) < 0
+    assert np.sin(a.q[a.find_branch("elbow-up")][0, 1]) < 0
     assert "q2 = -1.47062891, note = elbow-up" in str(a) and "elbow-up" in a._repr_html_()
     for point in ([0.9, 0.0], [0.0, 0.1]):
         assert arm.ik_all(point, "e").names.tolist() == ["elbow singular"]
     batch = arm.ik_all([[0.6, 0.3], [5.0, 0.0]], "e")
     assert batch.names.shape == batch.mask.shape
     assert (batch.names != "").tolist() == batch.mask.tolist()
-    assert batch.named("elbow-up").sum() == 1 and batch.q[batch.named("elbow-up")].shape == (1, 2)
+    assert batch.find_branch("elbow-up").sum() == 1 and batch.q[
+        batch.find_branch("elbow-up")
+    ].shape == (1, 2)
 
 
 # ---- published solutions, and chains without names
@@ -113,8 +115,8 @@ def test_the_puma_as_its_books_name_it():
     puma = kempe.load("puma560")
     qn = np.array([0, np.pi / 4, -np.pi, 0, np.pi / 4, 0])  # the sign of q3 differs by a turn
     a = puma.ik_all(puma.fk(qn, "tool"), "tool", start=qn)
-    (lun,) = a.q[a.named("shoulder left, elbow up, no flip")]
-    (run,) = a.q[a.named(["shoulder right", "elbow up", "no flip"])]
+    (lun,) = a.q[a.find_branch("shoulder left, elbow up, no flip")]
+    (run,) = a.q[a.find_branch(["shoulder right", "elbow up", "no flip"])]
     turns = np.array([2.6486, -3.9270, 0.0940, 2.5326, 0.9743, 0.3734])
     np.testing.assert_allclose(np.angle(np.exp(1j * (lun - turns))), 0, atol=6e-5)
     np.testing.assert_allclose(np.angle(np.exp(1j * (run - qn))), 0, atol=1e-9)
@@ -142,10 +144,10 @@ def test_the_stanford_arm_has_eight_names(hunt):
         assert set(names) - {""} == ALL_SLIDING and all(
             "slide ahead" in name for name in names[inside]
         )
-    assert a.named("slide back").sum() == 4 * len(Q)
+    assert a.find_branch("slide back").sum() == 4 * len(Q)
     assert (
         stanford.ik_all(stanford.fk([0.3, 0.7, 0.0, 0.2, 0.9, -0.4], "tool"), "tool")
-        .named("slide singular")
+        .find_branch("slide singular")
         .all()
     )
 
@@ -162,7 +164,7 @@ def test_three_slides_and_a_wrist_have_flips():
     a = gantry.ik_all(gantry.fk(q, "tool"), "tool", start=q)
     assert a.names.tolist() == ["no flip", "flip"]
     with pytest.raises(UnknownNameError):
-        a.named("elbow +")
+        a.find_branch("elbow +")
 
 
 def test_arms_of_seven_joints_are_named_by_the_signs_of_three(hunt):
@@ -200,7 +202,7 @@ def test_chains_without_names(robot, frame):
     a = system.ik_all(system.fk(system.random(1), frame), frame)
     assert len(a) and not any(a.names)
     with pytest.raises(InputError, match="have no names"):
-        a.named("elbow up")
+        a.find_branch("elbow up")
 
 
 def test_hyphens_and_spaces_are_alike():
@@ -211,25 +213,28 @@ def test_hyphens_and_spaces_are_alike():
     puma = kempe.load("puma560")
     a = arm.ik_all([0.6, 0.3], "e")
     for other in ("elbow up", "elbow-up", " elbow  up "):
-        assert a.named(other).tolist() == a.named("elbow-up").tolist() and a.named(other).sum() == 1
+        assert (
+            a.find_branch(other).tolist() == a.find_branch("elbow-up").tolist()
+            and a.find_branch(other).sum() == 1
+        )
     b = puma.ik_all(puma.fk(puma.random(1), "tool"), "tool")
     for word in WORDS:
         assert (
-            b.named(word.replace(" ", "-")).tolist() == b.named(word).tolist()
-            and b.named(word).sum() == len(b) / 2
+            b.find_branch(word.replace(" ", "-")).tolist() == b.find_branch(word).tolist()
+            and b.find_branch(word).sum() == len(b) / 2
         )
     with pytest.raises(UnknownNameError):
-        b.named("elbow")
+        b.find_branch("elbow")
 
 
 def test_words_that_do_not_exist():
     puma = kempe.load("puma560")
     a = puma.ik_all(puma.fk(puma.random(1), "tool"), "tool")
     with pytest.raises(UnknownNameError, match="did you mean 'elbow up'"):
-        a.named("elbow upp")
+        a.find_branch("elbow upp")
     for word in WORDS:
-        assert a.named(word).sum() == len(a) / 2
-    assert not a.named(["elbow up", "elbow down"]).any()
+        assert a.find_branch(word).sum() == len(a) / 2
+    assert not a.find_branch(["elbow up", "elbow down"]).any()
 
 
 # ---- random arms

@@ -64,7 +64,7 @@ def test_the_signs_are_the_elbows_of_all_solutions():
     both = ARM.ik_all(p, "e")
     formulas = ARM.symbolic.ik("e")
     for sign, name in ((-1, "elbow-up"), (1, "elbow-down")):
-        assert np.allclose(both.q[both.named(name)], [formulas(p, sign)], atol=1e-9)
+        assert np.allclose(both.q[both.find_branch(name)], [formulas(p, sign)], atol=1e-9)
     assert np.isnan(formulas([2.0, 0.0], 1)).all()
 
 
@@ -285,7 +285,9 @@ def test_elbow_up_is_what_all_solutions_call_so(axis):
     found = system.ik_all(p, "tip")
     formulas = system.symbolic.ik("tip")
     for sign, name in ((-1, "elbow-up"), (1, "elbow-down")):
-        np.testing.assert_allclose(found.q[found.named(name)], [formulas(p[:2], sign)], atol=1e-9)
+        np.testing.assert_allclose(
+            found.q[found.find_branch(name)], [formulas(p[:2], sign)], atol=1e-9
+        )
 
 
 def test_the_formulas_of_a_shipped_scara():
@@ -328,7 +330,7 @@ def test_what_is_printed_of_numbers_can_be_read():
     )
     assert "6.6666666666666" in formulas.code()
     np.testing.assert_allclose(
-        [formulas([0.4, 0.2], 1)], both.q[both.named("elbow-down")], atol=1e-12
+        [formulas([0.4, 0.2], 1)], both.q[both.find_branch("elbow-down")], atol=1e-12
     )
     t = Mechanism("table", dim=2)
     t.prismatic("x", t.ground, t.body("A"), axis=(1, 0))

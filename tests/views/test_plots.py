@@ -1143,7 +1143,7 @@ def test_opened_systems_keep_their_links_in_pictures(name, joint):
     ends.
     """
     whole = kempe.load(name)
-    system = whole.opened(joint)
+    system = whole.open_loops(joint)
     q = whole.assemble().q
     given = {n: x for n, x in whole.q_dict(q).items() if n in system.coordinate_names}
     before = build_scene(whole, q)

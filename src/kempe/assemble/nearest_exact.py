@@ -193,7 +193,7 @@ class Idealised(Report):
             "changes": [vars(c) for c in self.changes],
         }
 
-    def closed(self, q: Any) -> Array:
+    def close_configurations(self, q: Any) -> Array:
         """Return the configurations (..., nq) of the ideal mechanism nearest to q.
 
         What is farther from closed than the tolerance explains is left as it is.
@@ -310,12 +310,12 @@ def _get_kept_answers(system: Model, tolerance: Any) -> tuple[dict[Any, Any], An
     return system._kept.setdefault(find_nearest_exact, {}), key, tolerance
 
 
-USUAL = Usual("idealised", time_limit=TIME_LIMIT)
+USUAL = Usual("idealise", time_limit=TIME_LIMIT)
 
 
 @explain_errors
 @limit_time(USUAL)
-def idealised(
+def idealise(
     system: Model, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
 ) -> Idealised | None:
     """Find the nearest system that closes exactly and moves, and list the changed dimensions.
@@ -815,9 +815,9 @@ def answer_within_tolerance(*closed: str) -> Callable[[Function], Function]:
                 return function(system, *args, **options)
             for name in closed:
                 if args and args[0] is not None:
-                    args = (found.closed(args[0]), *args[1:])
+                    args = (found.close_configurations(args[0]), *args[1:])
                 elif options.get(name) is not None:
-                    options[name] = found.closed(options[name])
+                    options[name] = found.close_configurations(options[name])
             answer = function(found.system, *args, **options)
             named = {f.name for f in fields(answer)} if is_dataclass(answer) else ()
             return replace(answer, within=found) if "within" in named else answer  # type: ignore[type-var]

@@ -299,7 +299,9 @@ def _refuse_unpaired_joints(
             )
         elif not partial:
             loop = name in system.structure.closures
-            hint = "it closes a loop: see opened()" if loop else "where it is fixed there, lock it"
+            hint = (
+                "it closes a loop: see open_loops()" if loop else "where it is fixed there, lock it"
+            )
             said.append(f"joint {name!r} is not in the {library.name} model ({hint})")
     for t in theirs:
         if not partial and t.name not in here:

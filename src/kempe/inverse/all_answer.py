@@ -403,10 +403,10 @@ class Solutions(ConfigurationList, Answer):
             out[self._used_rows] = name_branches(self._kind, lines, theta, merged)
         return self._reshape_rows(out)
 
-    def named(self, words: str | Iterable[str]) -> np.ndarray:
+    def find_branch(self, words: str | Iterable[str]) -> np.ndarray:
         """Return a mask (k,) or (..., K) of the solutions whose names contain all given words.
 
-        For example ``a.q[a.named("elbow up, no flip")]``.
+        For example ``a.q[a.find_branch("elbow up, no flip")]``.
 
         Errors: `InputError` where the branches of the chain have no names, `UnknownNameError` for
         other words.
@@ -566,7 +566,7 @@ class Solutions(ConfigurationList, Answer):
             )
         return self._row.nearest(self, index)
 
-    def chosen(self, expand_turns: bool, inside_only: bool) -> Solutions:
+    def select_solutions(self, expand_turns: bool, inside_only: bool) -> Solutions:
         """Return the answer with every turn inside the limits, or only with solutions inside."""
 
         rows = self._rows

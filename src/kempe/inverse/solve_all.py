@@ -216,7 +216,7 @@ def solve_by_chain(problem: Problem) -> Solutions:
     if single and answer._counts[0, 0] < 0:
         raise InputError(explain_refused_target(targets[0]))
     if problem.limits:
-        answer = answer.chosen(problem.limits == "turns", inside_only=True)
+        answer = answer.select_solutions(problem.limits == "turns", inside_only=True)
     return select_obeying_solutions(answer)
 
 

@@ -166,7 +166,7 @@ class _Targets:
         """Try VALUES values of the spare joints; return the targets of `left` still unreached."""
         values = sample_spare_values(self.plan, self.plan.spare_joints)
         k = 0
-        while k < len(values) and len(left) and not self.problem.stopped(left):
+        while k < len(values) and len(left) and not self.problem.check_time(left):
             some = values[k : k + max(1, ROOM // len(left))]
             which = np.repeat(left, len(some))
             locked = self.locked[which]
@@ -195,7 +195,7 @@ class _Targets:
         The others have all solutions with the spare joints where their configuration has them,
         itself among them.
         """
-        if not len(left) or self.problem.stopped(left):
+        if not len(left) or self.problem.check_time(left):
             return left
         q, error, found = self._find_configurations(left, starts, tolerance, limited)
         which = left[found]
@@ -248,7 +248,7 @@ class _Targets:
             for k in range(i, j, PIECE):
                 check_for_stop()
                 last = min(k + PIECE, j)
-                if self.problem.stopped(which[k:last]):
+                if self.problem.check_time(which[k:last]):
                     out[k:last] = np.nan
                 else:
                     search_rows(k, last)

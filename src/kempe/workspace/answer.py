@@ -335,14 +335,14 @@ class Workspace(Report):
     """1 where the map that was found on disk was damaged, and its samples were drawn again."""
 
     @property
-    def said(self) -> dict[str, Any]:
+    def metadata(self) -> dict[str, Any]:
         """The data that define the map, such as system, frame and grid."""
-        return self.sample_counts.said
+        return self.sample_counts.metadata
 
     @property
     def frame(self) -> str:
         """The name of the frame."""
-        return str(self.said["frame"])
+        return str(self.metadata["frame"])
 
     @property
     def map(self) -> CellMap:
@@ -367,7 +367,7 @@ class Workspace(Report):
     @property
     def seed(self) -> int:
         """The seed of the random samples."""
-        return int(self.said["seed"])
+        return int(self.metadata["seed"])
 
     @property
     def code(self) -> Status:  # type: ignore[override]
@@ -385,7 +385,7 @@ class Workspace(Report):
     @cached_property
     def workspace_kind(self) -> WorkspaceKind:
         """The kind of workspace: what counts as reached."""
-        return WorkspaceKind.from_data(self.said)
+        return WorkspaceKind.from_data(self.metadata)
 
     @property
     def kind(self) -> str:
@@ -709,8 +709,8 @@ class Workspace(Report):
             f"{name}_error": error,
             f"{name}_bounds": list(self.bounds),
             **numbers,
-            "kernels": self.said["variant"],
-            "version": self.said["version"],
+            "kernels": self.metadata["variant"],
+            "version": self.metadata["version"],
         }
 
 
@@ -734,5 +734,5 @@ def open_workspace(path: str | Path, system: Model | None = None) -> Workspace:
         with pause_garbage_collection():
             own: Model = call_late_function("System", read_toml(toml))
             system = own
-    refuse_other_map(samples.said, {"system": system.structure.content_hash}, str(path))
+    refuse_other_map(samples.metadata, {"system": system.structure.content_hash}, str(path))
     return Workspace(system, samples, samples.samples)

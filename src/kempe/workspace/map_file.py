@@ -367,7 +367,7 @@ class RowStore:
         self.job = job
         self.source = source
         self.chunk = chunk
-        self.said = {
+        self.metadata = {
             **job.describe_job(),
             "rows": source.n,
             "chunk": chunk,
@@ -386,15 +386,15 @@ class RowStore:
         zarr = import_zarr()
         if not self.path.exists():
             refuse_small_disk(self.path.parent, self.source.n * sum(self.job.row_bytes))
-            made = {**self.said, "toml": format_description(self.job.system)}
+            made = {**self.metadata, "toml": format_description(self.job.system)}
             title = f"{self.job.verb} of {self.job.frame or self.job.system.name}"
             attributes = {"title": title, "format": FORMAT, "kempe": json.dumps(made)}
             write_group(self.path, FORMAT, attributes, self._add_arrays)
         try:
             group = zarr.open_group(str(self.path), mode="r+")
             made = json.loads(group.attrs["kempe"])
-            same = [key for key in self.said if key != "source"]
-            refuse_other_map(made, self.said, str(self.path), same)
+            same = [key for key in self.metadata if key != "source"]
+            refuse_other_map(made, self.metadata, str(self.path), same)
             with zarr.config.set({"array.write_empty_chunks": True}):
                 self.arrays = {name: group[name] for name in (*self.job.answer_layout, DONE)}
             axes = {name: group[name] for name in self._list_axis_words()}
@@ -409,7 +409,7 @@ class RowStore:
         for k in range(self.arrays[DONE].shape[0]):
             if find_chunk_file(self.arrays[DONE], (k, 0)).exists():
                 check()
-                self._read_done_rows(k, same_rows=made["source"] == self.said["source"])
+                self._read_done_rows(k, same_rows=made["source"] == self.metadata["source"])
 
     def _add_arrays(self, group: Any) -> None:
         """Add the arrays, without chunks, and the labels along the axes."""

@@ -20,21 +20,23 @@ if TYPE_CHECKING:
 
 
 def refuse_other_map(
-    of: dict[str, Any], said: dict[str, Any], where: str, keys: Iterable[str] | None = None
+    of: dict[str, Any], metadata: dict[str, Any], where: str, keys: Iterable[str] | None = None
 ) -> None:
     """Refuse to add to a map whose data differ, in these keys or in all. Errors: `InputError` with
     the difference.
     """
-    different = [key for key in (said if keys is None else keys) if of.get(key) != said[key]]
+    different = [
+        key for key in (metadata if keys is None else keys) if of.get(key) != metadata[key]
+    ]
     if different:
         key = different[0]
         if key == "system":
             why = (
                 f"it is of another system, or that system has changed since (hash {of.get(key)}, "
-                f"here {said[key]})"
+                f"here {metadata[key]})"
             )
         else:
-            why = f"its {key} is {of.get(key)!r}, and here it is {said[key]!r}"
+            why = f"its {key} is {of.get(key)!r}, and here it is {metadata[key]!r}"
         raise InputError(f"{where} belongs to another map: {why}; take another path, or remove it")
 
 

@@ -44,7 +44,7 @@ class SampleCounts:
     `ranges` are the numbers of all these samples, from the first to before the last.
     """
 
-    said: dict[str, Any]
+    metadata: dict[str, Any]
     grid: Grid
     counts: np.ndarray
     ranges: tuple[tuple[int, int], ...] = ()
@@ -90,9 +90,9 @@ class SampleCounts:
         return out
 
 
-def make_empty_counts(said: dict[str, Any], grid: Grid) -> SampleCounts:
+def make_empty_counts(metadata: dict[str, Any], grid: Grid) -> SampleCounts:
     """Make counts without samples."""
-    return SampleCounts(said, grid, np.zeros(grid.count + AFTER, dtype=np.uint64))
+    return SampleCounts(metadata, grid, np.zeros(grid.count + AFTER, dtype=np.uint64))
 
 
 def write_map(path: Path, system: Model, samples: SampleCounts) -> None:
@@ -101,13 +101,13 @@ def write_map(path: Path, system: Model, samples: SampleCounts) -> None:
     """
     cells = samples.map
     made = {
-        **samples.said,
+        **samples.metadata,
         "ranges": [list(x) for x in samples.ranges],
         **{name: getattr(samples, name) for name in ("samples", "outside", "left_out")},
         "toml": format_description(system),
     }
     attributes = {
-        "title": f"workspace of {samples.said['frame']}",
+        "title": f"workspace of {samples.metadata['frame']}",
         "format": FORMAT,
         "kempe": json.dumps({**made, "checksum": _compute_checksum(made)}),
     }

@@ -175,7 +175,7 @@ def _read_samples(path: Path, none: SampleCounts) -> tuple[SampleCounts, int]:
         samples, _ = read_map(path)
     except DamagedError:
         return none, 1
-    refuse_other_map(samples.said, none.said, str(path))
+    refuse_other_map(samples.metadata, none.metadata, str(path))
     return samples, 0
 
 

@@ -62,7 +62,7 @@ class ChainProblem:
     """Numbers of the targets in the problem that these were taken from; None where it is this
     one."""
 
-    def stopped(self, which: Any) -> bool:
+    def check_time(self, which: Any) -> bool:
         """Return whether the time is up, and record this for the targets `which`.
 
         They are given by a number, a slice, or an array of numbers.

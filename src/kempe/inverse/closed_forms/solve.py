@@ -84,7 +84,7 @@ def solve_locked_chain(
         for k in range(i, j, piece):
             check_for_stop()
             last = min(k + piece, j)
-            if problem.stopped(slice(k, last)):
+            if problem.check_time(slice(k, last)):
                 out[k:last, :, -A.INFO + A.CODE] = A.UNUSED
                 counts[k:last, 1] = 1
             else:
@@ -128,7 +128,7 @@ def solve_locked_chain(
     if len(none) and (other := plan.alternative_plan) is not None:  # two completions have to agree
         for k in range(0, len(none), ELIMINATED):
             some = none[k : k + ELIMINATED]
-            if problem.stopped(some):
+            if problem.check_time(some):
                 counts[some, 1] = 1
                 continue
             other.fill_solutions(

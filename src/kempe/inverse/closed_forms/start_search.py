@@ -62,7 +62,7 @@ def search_targets(
     out[which, :, -A.INFO + A.CODE] = A.UNUSED
     counts[which, 1] = 1
     for k, i in enumerate(which):
-        if problem.stopped(which[k:]):
+        if problem.check_time(which[k:]):
             bad = ~np.isfinite(problem.targets[which[k:]]).all(axis=(1, 2))
             counts[which[k:], 0] = np.where(bad, -1, 0)
             break

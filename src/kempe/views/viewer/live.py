@@ -332,7 +332,7 @@ class Page:
                     action()
                 except KempeError as error:
                     self.session.status = str(error)
-                self.viewer.moved(self)
+                self.viewer.update_pages(self)
             self.spent.append(time.perf_counter() - arrived)
             del self.spent[:-1000]
             slow = True
@@ -810,7 +810,7 @@ class Viewer:
                 for page in (p for p in tuple(self.pages.values()) if p.session is session):
                     page.show()
 
-    def moved(self, page: Page) -> None:
+    def update_pages(self, page: Page) -> None:
         """Update all pages that share the configuration of a page after its change."""
         self._last = page.session
         for other in tuple(self.pages.values()):

@@ -27,7 +27,7 @@ class _SingleJoint(NamedTuple):
 
 
 @explain_errors
-def expanded(system: SystemType) -> SystemType:
+def expand_joints(system: SystemType) -> SystemType:
     """Return the same system with revolute and prismatic joints only.
 
     Links of zero length connect them.
