@@ -14,7 +14,8 @@ author = "The Kempe authors"
 copyright = author
 version = release = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+napoleon_google_docstring = False
 exclude_patterns = ["_build", "jupyter_execute"]
 html_theme = "furo"
 html_title = f"Kempe {version}"
@@ -87,4 +88,5 @@ def _pictures(app):
 def setup(app):
     """Connect the hooks."""
     app.connect("builder-inited", _pictures)
-    app.connect("autodoc-process-docstring", _plain)
+    # before napoleon, which makes reStructuredText of the sections
+    app.connect("autodoc-process-docstring", _plain, priority=400)

@@ -258,18 +258,44 @@ class System(Model, Pictured):
     def random(
         self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()
     ) -> Array:
-        """Draw random configurations (*shape, nq), uniform inside the limits.
+        """Draw random configurations, uniformly inside the limits.
 
-        Free angles in (-pi, pi], free lengths in (-1, 1).
+        Loops are not closed and relations of several coordinates are not imposed.
+
+        Parameters
+        ----------
+        rng
+            Generator or seed. The same seed gives the same configurations, in any order of
+            declaration.
+        shape
+            Leading shape of the result.
+
+        Returns
+        -------
+        Array
+            Configurations (*shape, nq). Angles without limits lie in [-pi, pi) and lengths without
+            limits in [-1, 1) metres; a coordinate with one limit lies within that range of it.
+            Orientations are uniform.
         """
         return configurations.sample_configurations(self, rng, shape)
 
     def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
-        """Make a configuration (..., nq) from values by coordinate name, or from a named posture.
+        """Make a configuration from values by coordinate name, or from a named posture.
 
-        Coordinates that are not named are neutral, or as in `base` (..., nq); those that follow
-        others may be named, too, where they fit. A message JointState of ROS is taken as well.
-        Numbers are only written down: no loop is closed (`assemble` closes them).
+        No loop is closed; `assemble` closes loops.
+
+        Parameters
+        ----------
+        coordinates
+            Values in radians and metres by coordinate name, the name of a posture, or a ROS message
+            `JointState`. A coordinate that follows another one may be given if its value fits.
+        base
+            Configuration (..., nq) with the values of all other coordinates (default: `neutral`).
+
+        Returns
+        -------
+        Array
+            Configuration (..., nq).
         """
         return configurations.make_q(self, coordinates, base)
 
@@ -324,9 +350,41 @@ class System(Model, Pictured):
     def task_space(
         self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
     ) -> TaskSpace:
-        """Compute the task space of a frame or of tasks, and how it depends on `q`.
+        """Compute the dimension of a task, its ranks, and bounds of its image.
 
-        See `kempe.spaces.task_space`.
+        Parameters
+        ----------
+        tasks
+            Name of a frame, a task of `kempe.tasks`, or a list of tasks.
+        q
+            Configuration (nq,) at which the rank is computed (default: a random one).
+        task
+            Part of the frame's pose that counts: "pose" (default) or "position".
+        budget
+            Reads starts (64 random configurations), rng (0) and time_limit (30 s).
+
+        Returns
+        -------
+        TaskSpace
+            Dimensions, the rank at `q`, and the generic rank at random configurations. The image is
+            the range of the frame's origin at random configurations within limits and one-sided
+            constraints; a tree has 10 000 more of them. `late` is true if the time limit ended the
+            work; the result then rests on the finished `samples`.
+
+        Raises
+        ------
+        InputError
+            For wrong values.
+        UnknownNameError
+            If there is no such frame.
+        TimeLimitError
+            If the time limit passes before the first sample.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> print(kempe.load("two_link").task_space("e", task="position").status)
+        position of 'e': m = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
         """
         from kempe.spaces.task_space import task_space
 
@@ -379,12 +437,41 @@ class System(Model, Pictured):
         dtype: Any = None,
         relative_to: FrameLike | None = None,
     ) -> Array:
-        """Compute poses in the ground frame, (..., 4, 4).
+        """Compute the poses of bodies and frames at configurations (forward kinematics).
 
-        Several frames, or None for all bodies, give (..., k, 4, 4).
+        Parameters
+        ----------
+        q
+            Configurations (..., nq) in radians and metres, or values by coordinate name.
+        frame
+            Name of a body or frame, or a list of names. None stands for all bodies in their order,
+            body 0 (the ground) included.
+        out
+            C-contiguous array for the result, of its shape and type.
+        threads
+            Number of threads for a large batch (default: one for each processor).
+        form
+            "matrix" (default), "3x4" (the upper three rows), "position" (3 numbers) or
+            "position_quat_wxyz" (7 numbers).
+        dtype
+            "float64" (default) or "float32". Poses are computed in float64 and rounded afterwards.
+        relative_to
+            Name of the frame from which poses are seen (default: the ground).
 
-        `form` "3x4", "position" or "position_quat_wxyz" gives less of each, `relative_to` another
-        frame in place of the ground; see `kempe.forward.fk.fk`.
+        Returns
+        -------
+        Array
+            Poses (..., 4, 4) of one frame, or (..., k, 4, 4) of k frames. Another `form` has its
+            own shape in place of (4, 4). Poses of a batch at a configuration with NaN or infinity
+            are NaN in their first three rows.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such frame.
+        InputError
+            For wrong shapes, and for a single configuration that is not finite or has a zero
+            quaternion on which a pose depends.
         """
         query = (
             self._kept["fk"].get(frame)
@@ -405,9 +492,38 @@ class System(Model, Pictured):
         in_frame: str = "world_aligned",
         threads: int | None = None,
     ) -> Array:
-        """Compute the Jacobian (..., 6, nv) of a frame, with rows [linear; angular].
+        """Compute the Jacobian of a frame: its twist is the Jacobian times the velocities.
 
-        Several frames give (..., k, 6, nv); see `kempe.forward.fk.jacobian`.
+        Parameters
+        ----------
+        q
+            Configurations (..., nq) in radians and metres, or values by coordinate name.
+        frame
+            Name of a body or frame, or a list of names.
+        in_frame
+            Frame in which the twist is expressed. "world_aligned": velocity of the frame's origin,
+            axes of the ground. "world": velocity of the point at the ground's origin, axes of the
+            ground. "body": velocity of the frame's origin, axes of the frame.
+        threads
+            Number of threads for a large batch (default: one for each processor).
+
+        Returns
+        -------
+        Array
+            Jacobian (..., 6, nv) with the linear rows first, or (..., k, 6, nv) for k frames.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such frame, or no such `in_frame`.
+        InputError
+            As in `fk`.
+
+        Notes
+        -----
+        Velocities are time derivatives of the coordinates, and for a quaternion the angular
+        velocity in the axes of the rotated body. Source: Featherstone, *Rigid Body Dynamics
+        Algorithms*, 2008, section 2.8.
         """
         query = self._kept["fk"].get(frame) if frame.__class__ is str else None
         if query is not None and q.__class__ is ARRAY:
@@ -419,9 +535,27 @@ class System(Model, Pictured):
     def query(self, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
         """Return the forward kinematics of one frame as a fast function.
 
-        It is called as ``f(q, out=None)`` and ``f.jacobian(q)``.
+        Names are looked up and arrays are packed once, so that later calls are fast.
 
-        In a `form` and type of numbers as of `fk`.
+        Parameters
+        ----------
+        frame
+            Name of a body or frame.
+        form, dtype
+            Form and number type of the poses, as in `fk`.
+
+        Returns
+        -------
+        Query
+            Function ``f(q, out=None)`` for poses, with the methods ``f.jacobian(q)`` and
+            ``f.pose_and_jacobian(q)``.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such frame or form.
+        InputError
+            For another number type.
         """
         from kempe.forward.fk import query
 
@@ -448,7 +582,74 @@ class System(Model, Pictured):
         budget: Budget | None = None,
         history: bool = False,
     ) -> Solution:
-        """Find a configuration that reaches a target or fulfils tasks; see `kempe.inverse.ik.ik`."""
+        """Find a configuration that reaches a target or satisfies tasks (inverse kinematics).
+
+        Parameters
+        ----------
+        target
+            Pose (..., 4, 4) in the ground frame or position (..., 3) of `frame`; in planar systems
+            also (..., 3, 3), (..., 2) and, with ``task="pose"``, x, y and angle (..., 3). Also a
+            pose of another library, or the name of a frame on the ground. Without a `frame`, one or
+            several tasks of `kempe.tasks`, hard or soft, in strict priorities.
+        frame
+            Name of the body or frame that reaches the target.
+        start
+            First start: a configuration (..., nq), values by coordinate name, or the name of a
+            posture (default: the middle of the limits; for tasks the posture 'closed', if there is
+            one). Starts and targets broadcast.
+        task
+            Part of the target that counts: "pose", "position", "orientation", "direction" (of the
+            frame's z axis, or of another axis as in ``("direction", (1, 0, 0))``), or
+            "position_axis" (position and direction).
+        prefer
+            Quantity that is minimised in the freedoms that the tasks leave: "nearest" (distance to
+            `start`), "mid" (distance to the middle of the limits), "manipulability" (its inverse),
+            or a function of q (nq,). The answer is then `Reached`.
+        method
+            "numeric" (default); "analytic" (the solution of `ik_all` that is nearest to `start`);
+            or "auto" (analytic where the chain allows it, else numeric).
+        tolerance
+            Largest position error in metres and rotation error in radians, as one number or two
+            (default: 1e-6 each).
+        budget
+            Reads starts (1000), iterations of one start (40), time_limit (30 s for one target, none
+            for a batch), rng (0) and threads. For tasks see the notes.
+        history
+            Keep the iterates of a single target in `Solution.history`.
+
+        Returns
+        -------
+        Solution or Reached
+            Configuration `q` (..., nq) with `success` and a `status` that gives the reason of a
+            failure. Where no solution was found, `q` is the nearest configuration found: it
+            minimises the sum of squares of the position error in characteristic lengths and the
+            rotation error in radians. `Reached` is the answer for tasks, and for a frame that moves
+            with closed loops, declared constraints or relations of several coordinates.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes, and NaN in a single target. A target of a batch with NaN gives NaN.
+        UnknownNameError
+            If there is no such frame, task or method.
+
+        Notes
+        -----
+        Joint limits, couplings and closed loops hold. `start` is tried first; other starts are
+        drawn from rng. The first start that reaches the target gives the answer, whatever the
+        number of threads. Coordinates that do not move the frame keep their value in `start`. Only
+        an answer that the time limit ended depends on the machine, and says so.
+
+        For tasks, iterations are 60. By default 60 starts are tried, and then more: none where a
+        proof shows that there is no solution; 30 times the square of the number of limited
+        coordinates that the tasks move (300 to 15 000) where a solution outside the limits was
+        found; else a tenth of that number. One problem with Python functions ends after 10 000
+        calls of them if searches without limits, or for these functions alone, find nothing.
+
+        Sources: damped least squares with an active set of limits and restarts (Levenberg, 1944;
+        Sugihara, 2011; Chan and Lawrence, 1988); lower priorities are solved in the null space of
+        higher ones (Siciliano and Slotine, 1991).
+        """
         if (
             frame.__class__ is str
             and prefer is method is tolerance is budget
@@ -491,9 +692,60 @@ class System(Model, Pictured):
         tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Solutions | Modes:
-        """Find all configurations in which the frame reaches the target.
+        """Find all configurations in which a frame reaches a target (inverse kinematics).
 
-        See `kempe.inverse.ik_all.ik_all`.
+        Parameters
+        ----------
+        target
+            Pose (..., 4, 4) in the ground frame or position (..., 3); in planar systems also (...,
+            3, 3), (..., 2) and, with ``task="pose"``, x, y and angle (..., 3).
+        frame
+            Name of the body or frame that reaches the target.
+        start
+            Configuration (nq,) that sorts the solutions, chooses among whole turns, and gives the
+            values of joints that do not move the frame or are spare (default: neutral, inside the
+            limits).
+        task
+            Part of the target that counts, as in `ik`.
+        fixed
+            Values of spare joints by name, for redundant chains: numbers, or arrays with a number
+            for each target.
+        limits
+            False: solutions outside the limits are kept, after those inside. True: they are
+            dropped. "turns": also list each solution with all whole turns inside the limits.
+        tolerance
+            Largest error of a solution in metres and radians (default: 1e-9, or rounding if that is
+            larger).
+        budget
+            Reads threads and time_limit (30 s for one target, none for a batch).
+
+        Returns
+        -------
+        Solutions or Modes
+            Solutions `q` (k, nq), or (..., K, nq) with a `mask` for a batch, sorted by their
+            distance to `start`. `complete` states that there are no other isolated solutions,
+            `status` why there is none. One pose or position of a frame that moves with closed
+            loops, or with joints that follow others, gives the `Modes` of `assembly_modes`.
+
+        Raises
+        ------
+        UnsupportedError
+            For chains with quaternions.
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such frame or joint.
+
+        Notes
+        -----
+        Spare joints that are not in `fixed` keep their value in `start`. For a target without a
+        solution inside the limits there, other values are tried; `Solutions.held` gives the values.
+        Solutions that violate one-sided constraints of the system are dropped, and `status` says
+        so. Each solution is verified by the forward model. Where the time limit ended the work, the
+        known solutions are returned, not `complete`.
+
+        `inverse.plan` gives the method for a frame: closed form (`kempe.kernels.closed_form`),
+        elimination (`kempe.kernels.elimination`) or search.
         """
         plain = (
             frame.__class__ is str
@@ -531,9 +783,59 @@ class System(Model, Pictured):
         tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
     ) -> IkPath:
-        """Find configurations that follow a sequence of targets without a jump.
+        """Find configurations in which a frame follows a sequence of targets without a jump.
 
-        See `inverse.path.ik_path`.
+        Parameters
+        ----------
+        targets
+            Poses (n, 4, 4) or positions (n, 3) of `frame`, in the plane also (n, 3, 3) or (n, 2).
+            Without a `frame`, tasks of `kempe.tasks` whose goals have a leading axis (n).
+        frame
+            Name of the body or frame that follows the targets.
+        start
+            Configuration (nq,), values by name or a posture from which the first target is reached,
+            as in `ik`.
+        max_step
+            Largest step in radians and characteristic lengths.
+        restart
+            Where the path ends, go on from the nearest configuration at the next target that can be
+            reached. The path then has a jump.
+        branches
+            Try paths from several start configurations, those of `ik_all` among them. The answer is
+            the path that gets farthest, then the one with the fewest jumps, then the shortest.
+        tolerance
+            Largest error in metres and radians (default: 1e-10). A larger value is for rounded
+            targets: the path may then leave out what a singularity prevents, within the tolerance.
+        budget
+            Reads starts (60) and rng (0) of searches, time_limit (600 s) and progress, which
+            receives the number of finished targets.
+
+        Returns
+        -------
+        IkPath
+            Configurations `q` (n, nq), the `jumps`, and a `status` that says where and why the path
+            jumps or stops. A path that stops does not prove that no continuous path exists.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such frame.
+
+        Notes
+        -----
+        Limits, couplings and closed loops hold. Each step starts with the damped pseudoinverse
+        times the error (Whitney, 1969). A step is accepted if it is not much longer than that and
+        at most `max_step`, or similar to the step before. Otherwise the way between the targets is
+        halved (straight lines, rotations by the exponential map). A rotation of joints that leaves
+        the way of the targets unchanged is not a jump. Where even the shortest step fails, the path
+        is tried again from the start with small self-motions away from the limits, if the targets
+        leave freedoms.
+
+        A path that violates velocity constraints by more than the curvature between targets
+        explains is refused with its place. If the targets leave freedoms, a path that rolls without
+        slip is computed from the first target instead.
         """
         from kempe.inverse.path import ik_path
 
@@ -562,9 +864,64 @@ class System(Model, Pictured):
         keep_direction: bool = False,
         weights: Any = None,
     ) -> IkStep:
-        """Compute velocities for a frame's twist or for tasks, within all limits.
+        """Compute velocities that give a frame a twist, or move it to a pose, within all limits.
 
-        See `inverse.ik_step.ik_step`.
+        Parameters
+        ----------
+        q
+            Configuration (nq,).
+        wanted
+            Twist (6,) [linear; angular] of the frame's origin in ground axes, in m/s and rad/s; or
+            a pose (4, 4) to reach within `dt`. Without a `frame`, tasks of `kempe.tasks`, hard or
+            soft, in strict priorities.
+        frame
+            Name of the body or frame.
+        dt
+            Duration of the step in seconds.
+        velocity_limits
+            Largest speeds: a number or (nv,), in rad/s and m/s. Default: those of the system, else
+            pi rad/s and 1 m/s. `math.inf` removes them.
+        damping
+            Largest damping near singularities. With loops, constraints or tasks it is relative to
+            the largest singular value of the Jacobian.
+        keep_direction
+            Scale the twist to what the limits allow, and keep its direction.
+        weights
+            Weights (6,) of the rows of the twist; rows with weight zero do not count.
+
+        Returns
+        -------
+        IkStep
+            Velocities, the configuration after `dt`, and the achieved part of the twist.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values, and for open loops.
+
+        Notes
+        -----
+        The velocities minimise the weighted squared error of the twist and then their own norm, in
+        radians and characteristic lengths. Directions in which the frame hardly moves are damped
+        (Maciejewski and Klein, 1988). Speeds stay within `velocity_limits`, and coordinates within
+        their limits during `dt`. Other joints take over gradually where a coordinate reaches a
+        limit, so the result is slightly below that of a bounded least-squares problem.
+
+        With `keep_direction` the twist is scaled by the largest factor from 0 to 1 that the limits
+        allow, up to a few percent for self-motions. The factor goes to zero at a singular
+        configuration; close to it the direction is kept to 1 %. Towards a pose the frame moves
+        straight, and turns gradually to the nearest pose where a limit or the border of the
+        workspace ends the straight way.
+
+        A pose or tasks out of reach within `dt` are approached; all joints then arrive together.
+        Repeated steps come to rest at a local minimum of the error. Saddle points are left, by
+        Newton's method where a first-order step does not reduce the error. No joint reverses
+        between two such steps with more than a twentieth of its speed limit. The result depends
+        only on the arguments.
+
+        Loops and relations of several coordinates stay closed, in the velocities and in the
+        resulting configuration. Velocity constraints hold to second order, and one-sided
+        constraints as limits do.
         """
         from kempe.inverse.ik_step import ik_step
 
@@ -597,11 +954,47 @@ class System(Model, Pictured):
         limits: bool = True,
         budget: Budget | None = None,
     ) -> Singularities:
-        """Find singular configurations of a frame or of closed loops.
+        """Find singular configurations of a frame, or of closed loops, from random starts.
 
-        They come with their kinds and the distance to the nearest.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame; None for the inputs of closed loops only.
+        task
+            Part of the frame's motion that counts: "pose", "position" or "orientation", in space
+            also "xy", "xz", "yz" (position along two axes) and "direction" (of its z axis). Default
+            for a chain: the pose if three joints (in space four) move the frame, else the position.
+            Default with closed loops: the pose, or the position for a planar frame with two
+            freedoms.
+        inputs
+            Names of the driven coordinates (default: those marked as actuated).
+        limits
+            Keep only configurations within limits and one-sided constraints.
+        budget
+            Reads starts (64, at most a million), rng (0), time_limit (120 s) and progress(starts
+            done, all starts).
 
-        See `kempe.spaces.singularities`.
+        Returns
+        -------
+        Singularities
+            Sets of singular configurations with their types. A set that is missing may exist.
+
+        Raises
+        ------
+        InputError
+            For wrong values, and a frame that does not move.
+        UnknownNameError
+            If there is no such frame, task or coordinate.
+
+        Notes
+        -----
+        A configuration of a chain is singular if the Jacobian of the task has a smaller rank than
+        at almost all configurations. Closed loops have singularities of type 1 (the frame loses
+        directions), type 2 (the frame moves although all inputs are held), and constraint
+        singularities (the loops allow more motions than elsewhere); see
+        `kempe.spaces.singular_types`. Idle freedoms do not count. Sets are distinguished by the
+        coordinates that determine them, and for arms with six joints by the names of their
+        branches.
         """
         from kempe.spaces.singularities import singularities
 

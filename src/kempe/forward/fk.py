@@ -200,12 +200,7 @@ class Query(Protocol):
 
 @explain_errors
 def query(system: Model, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
-    """Return a function that computes the forward kinematics of one frame.
-
-    Its result has the `form` and `dtype` that `fk` explains.
-
-    Errors: `UnknownNameError` for names, `InputError` for types.
-    """
+    """Return a function that computes the forward kinematics of one frame; see `System.query`."""
     if form is not None or dtype is not None:
         compute_poses_in_form(system, system.neutral, frame, None, 1, form, dtype)
     chain_of = _ChainQuery(system, system.structure.frame_name(frame), form, dtype)
@@ -384,23 +379,7 @@ def fk(
     dtype: Any = None,
     relative_to: FrameLike | None = None,
 ) -> Array:
-    """Compute poses (..., 4, 4) in the ground frame, or in `relative_to` (forward kinematics).
-
-    `q` is (..., nq) in radians and metres, or a dict by coordinate name. `frame` is the name of a
-    body or frame: then the result is (..., 4, 4); a list of names gives (..., k, 4, 4) in their
-    order; None gives all bodies by number, (..., n_bodies + 1, 4, 4), the ground included. `out`,
-    where given, must be a C-contiguous float64 array of that shape. Large batches run in `threads`
-    threads (default: as many as there are processors).
-
-    `form` says what takes the place of (4, 4): "3x4" the upper three rows, "position" three
-    numbers, "position_quat_wxyz" seven, "matrix" (the same as None) all. `dtype` float32 halves
-    what is written, and what `out` must be; it is computed in float64. "position" of one frame is
-    less work than a pose, the others are less to write.
-
-    A NaN, an infinity or a zero quaternion that a pose depends on is an `InputError`; in a batch
-    the first three rows of such a pose are NaN and all others are right. Errors: `UnknownNameError`
-    for names, `InputError` for shapes.
-    """
+    """Compute poses of frames at configurations; see `System.fk`."""
     if form is not None or dtype is not None or relative_to is not None:
         return compute_poses_in_form(system, q, frame, out, threads, form, dtype, relative_to)
     if frame is not None and not isinstance(frame, (list, tuple)):
@@ -438,14 +417,9 @@ def jacobian(
     in_frame: str = "world_aligned",
     threads: int | None = None,
 ) -> Array:
-    """Compute Jacobians (..., 6, nv) of a frame: its twist [v; w] is J times the velocities.
+    """Compute Jacobians (..., 6, nv) of frames; see `System.jacobian`.
 
-    A list of frames gives (..., k, 6, nv) in their order. `in_frame` says where the twist is read:
-    "world_aligned" (velocity of the frame's origin, axes of the ground), "world" (velocity of the
-    point that is at the ground's origin, axes of the ground) or "body" (velocity of the frame's
-    origin, axes of the frame). Velocity coordinates are time derivatives of `q`, and for a
-    quaternion the angular velocity in the turned axes. Source: Featherstone, 2008, section 2.8.
-    Errors: as `fk`.
+    Source: Featherstone, *Rigid Body Dynamics Algorithms*, 2008, section 2.8.
     """
     if not isinstance(frame, (list, tuple)):
         of_frame = _find_query(system, frame)

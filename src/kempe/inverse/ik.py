@@ -223,43 +223,9 @@ def ik(
     budget: Budget | None = None,
     history: bool = False,
 ) -> Solution:
-    """Find a configuration within limits in which `frame` reaches `target` (inverse kinematics).
+    """Find a configuration within limits in which a frame reaches a target; see `System.ik`.
 
-    Without a frame `target` are tasks, see `kempe.inverse.tasks.search.reach_tasks`.
-    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,
-    with ``task="pose"``, x, y and angle (..., 3)), or a position (..., 3) (in planar systems also
-    (..., 2)), or an object or words that say one (`kempe.poses.read_pose_array`), or the name of a
-    frame on the ground. `task` says what of it counts: "pose", "position", "orientation",
-    "direction" (of
-    the tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))),
-    "position_axis" (both). `tolerance` is the largest position error [m] and rotation angle [rad],
-    1e-6 each.
-    `start` (nq,) or (..., nq), a dict by name, or the name of a posture, is the first start; what
-    the chain does not move keeps its value there, else the neutral one, inside the limits. Targets
-    and starts broadcast: many starts for one target give many answers. With `history`, the answer
-    to one target has its iterates (`Solution.history`).
-
-    Of the `budget` are read: starts (1000), iterations (40), time_limit (30 s for one target, none
-    for a batch, whose number of targets says how long it takes), rng (0), threads. Starts are tried
-    in order, `start` or the middle of the limits first, the others drawn from rng; the first that
-    reaches the target is the answer: the same for the same arguments, whatever the threads.
-    Iterations are the steps of one start, at most; where all fail, as many descents to the nearest,
-    at most 16, have five times as many. A time limit that is given is looked at after each 32
-    starts, of chains of more than 31 coordinates after fewer: an answer that it ended says so, and
-    is the only one that depends on the machine.
-
-    The answer says by `success` and `status` whether it was reached and if not, why;
-    ``answer.expect()`` raises `NoSolutionError` then. Not reached, its `q` is the nearest found:
-    least is the square of the miss, of the position in characteristic lengths of the system, of the
-    rotation in radians. A NaN in a single target is an `InputError`, in a batch it gives a NaN row.
-    A frame that moves with closed loops, declared constraints, or relations of several coordinates,
-    is a case for `reach`, which holds these, and so is what one would `prefer` of many
-    configurations, as there: the answer then is `Reached`.
-
-    `method`: "numeric" (the default), damped least squares with an active set of limits and
-    restarts (Sugihara, 2011; Chan and Lawrence, 1988); "analytic", of all solutions that `ik_all`
-    finds the one nearest to `start`; "auto", that where the chain allows it, else numeric. Targets
-    that have no analytic solution inside the limits get the numeric answer.
+    Without a frame the target are tasks, see `kempe.inverse.tasks.search.reach_tasks`.
     """
     if frame is not None:
         return _solve_frame(

@@ -49,32 +49,7 @@ def ik_all(
     tolerance: float | None = None,
     budget: Budget | None = None,
 ) -> Solutions | Modes:
-    """Find every configuration in which `frame` reaches `target` (inverse kinematics).
-
-    `target` is a pose (..., 4, 4) in the ground frame (in planar systems also (..., 3, 3), and,
-    with ``task="pose"``, x, y and angle (..., 3)) or a position (..., 3) (in planar systems also
-    (..., 2)). `task` says what of it counts: "pose", "position", "orientation", "direction" (of the
-    tool's z axis, or of another one in a pair such as ("direction", (1, 0, 0))), "position_axis"
-    (both). Joints of redundant chains are held by `fixed`, a dict of numbers, or of arrays of one
-    for each target; others that are to spare where `start` has them, and elsewhere for targets that
-    have no solution inside the limits there: `Solutions.held` says where. Solutions are sorted:
-    inside the limits first, then by nearness to `start` (nq,), which also chooses among turns; with
-    `limits` others are dropped, and with ``limits="turns"`` every turn inside the limits is listed.
-    Joints that do not move `frame` keep their values in `start`, else the neutral ones, brought
-    inside their limits, as in `ik`. What violates one-sided constraints of the system is left out,
-    and the status says so.
-
-    Each solution is verified by the forward model to `tolerance` [m, rad] (1e-9, or to rounding,
-    far away). What is not reached has no solutions and a `status` that says why;
-    ``answer.expect()`` raises `NoSolutionError` for it. Of the `budget` are read: threads, and
-    time_limit (30 s for one target, none for a batch). Targets whose work it ended have the
-    solutions that are known by then, are not `complete`, and say so (`late`). Errors:
-    `UnsupportedError` for chains with quaternions, `InputError`, `UnknownNameError`.
-    For one pose or position of a frame that moves with loops, or with joints that follow others (a
-    helical joint, a parallel linkage written as a coupling), the answer is that of `assembly_modes`
-    with it known.
-    Method: see `System.inverse.plan`, and `kempe.kernels.closed_form`, `kempe.kernels.elimination`.
-    """
+    """Find all configurations in which a frame reaches a target; see `System.ik_all`."""
     name = system.structure.frame_name(frame)
     target = read_target(system, target)
     (said, axis) = split_task(task)

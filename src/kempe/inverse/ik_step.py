@@ -120,47 +120,7 @@ def ik_step(
     keep_direction: bool = False,
     weights: Any = None,
 ) -> IkStep:
-    """Compute velocities that give a frame the wanted twist for the time dt [s], within limits.
-
-    `wanted` is a twist (6,), [linear; angular] of the frame's origin in ground axes, or a pose (4,
-    4) to be reached in dt; without a frame, tasks of `kempe.tasks` to be reached in dt, hard or
-    soft and in strict priorities. The velocities make the squared error of the twist least
-    (`weights` (6,) of its rows, zero where a row does not count) and, among those that do, their
-    own size; near singularities the directions that are hard to move in are damped, by at most
-    `damping` (Maciejewski and Klein, 1988). They stay in `velocity_limits` (a number or (nv,);
-    default: those of the system, and where it has none pi rad/s and 1 m/s of all that a coordinate
-    turns or slides; `math.inf` lifts them), and no coordinate leaves its limits within dt. Where a
-    twist asks for more, other joints take over, and the velocities change gradually where they do:
-    so a little of the twist that a bounded least-squares problem would give is left. A singular
-    configuration from which a twist leads to second order only is left.
-
-    With `keep_direction` the twist is scaled instead of bent: what is had is the largest part of it
-    that the limits allow, from 0 to 1, but for a few percent that self-motions cost. Towards a
-    singular configuration the part falls to zero, and the motion comes to rest there: it never goes
-    back. Close to one, the direction is kept to 1 %. Towards a pose the frame goes straight, in
-    position and orientation together, as long as that leads on; where a limit or the border of the
-    workspace ends the straight way, the motion turns gradually towards the nearest pose.
-
-    A pose or tasks that cannot be had within dt, since they are far, out of reach or beyond limits,
-    are approached: limits of speed shorten the step, so all joints arrive together. Where a step of
-    first order does not lower the error, its second order counts (Newton); saddle points of the
-    error are left. So cycles that ask for the same come to rest, at a local minimum of the error,
-    in radians and characteristic lengths as in `ik`, with `keep_direction`, too. Of a twist only
-    the caller knows where it leads.
-
-    In cycles that ask for the same, no joint turns back from one cycle to the next at more than a
-    twentieth of its limit of speed: the velocities of the next cycle are computed, too, and the
-    step is shortened where one changes its sign. What is asked for decides alone: no velocity of an
-    earlier call counts.
-
-    Loops and relations of several coordinates stay closed, those of the whole system for tasks and
-    for a frame that they move: to first order by the velocities, and then in `q`, which is closed
-    again (q may be open a little, as by drift). Velocity constraints hold: what rolls does not
-    slip, and the way to `q` obeys them to second order. Declared one-sided constraints hold as
-    limits do. There
-    sizes are measured in radians and characteristic lengths, and damping relative to the largest
-    singular value. Errors: `InputError`, also where the loops are open.
-    """
+    """Compute velocities for a twist, a pose or tasks, within all limits; see `System.ik_step`."""
     q = read_q(system, q)
     if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
         raise InputError(

@@ -628,31 +628,7 @@ def ik_path(
     tolerance: float | tuple[float, float] | None = None,
     budget: Budget | None = None,
 ) -> IkPath:
-    """Find configurations in which a frame follows targets without a jump.
-
-    `targets` are poses (n, 4, 4) or positions (n, 3), in the plane also (n, 3, 3) or (n, 2);
-    without a frame they are tasks of `kempe.tasks` whose goals have a leading axis (n). Limits,
-    couplings and loops hold, too. The first target is reached from `start` as `ik` does; from there
-    on each step starts at its first order, the damped pseudoinverse times what is missing (Whitney,
-    1969). A step is taken where it is not much longer than that, nor than `max_step` in radians and
-    characteristic lengths, or much like the one before; else the targets' way (linear, rotations by
-    the exponential map) is halved. Near a singularity it goes on as before where it can, and a turn
-    of the joints that leaves the targets' way alone is no jump. A `tolerance` above the usual 1e-10
-    m and rad is for rounded targets: what a singularity cannot give is then left out within it.
-    Where the smallest part of it cannot be gone, the path from the start is tried once more, if the
-    targets leave freedoms, with small self-motions away from limits. Where that ends, too, it
-    stops, or, with `restart`, goes on from the nearest configuration found at the next target that
-    can be reached; joints that the targets do not ask for stay. That it stops is no proof that no
-    continuous path exists.
-    Where there are velocity constraints, a path that slips (by more than the bend between targets
-    explains) is refused with the place; where targets leave freedoms, one that rolls is led from
-    the first target on instead. With `branches`, paths from several start configurations are tried,
-    those of `ik_all` among them where it applies: the answer is the one that gets farthest, then
-    the one with fewest jumps, then the shortest.
-    Of the `budget` are read: starts (60) and rng (0) of what is looked for, time_limit (600 s) of
-    the whole call, after which what was done by then is the answer, and progress, which receives
-    how many targets are done. Errors: `InputError`, `UnknownNameError`.
-    """
+    """Find configurations in which a frame follows targets without a jump; see `System.ik_path`."""
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
     options = {"max_step": max_step, "restart": restart, "branches": branches}

@@ -386,25 +386,7 @@ def singularities(
     limits: bool = True,
     budget: Budget | None = None,
 ) -> Singularities:
-    """Find singular configurations of a frame and of closed loops from random starts.
-
-    Of a chain they are those at which the Jacobian of the frame's `task` has a smaller rank than
-    almost everywhere: "pose", "position", "orientation", in space also "xy", "xz", "yz" (the
-    position along two axes) and "direction" (of its z axis); by default the pose where three joints
-    or, in space, four move the frame, else the position; with closed loops the pose, but of planar
-    frames with two freedoms the position. Of closed loops see
-    `kempe.spaces.singular_types`: type 1, where the frame has lost directions;
-    type 2, where it moves although all `inputs` (names of coordinates; by default what is marked as
-    actuated) are held; and constraint singularities, where the loops allow more than elsewhere.
-    What spins idly does not count.
-
-    Sets are distinguished by the coordinates that decide, and of six-joint arms by the names of
-    their branches. With `limits` only configurations inside them count, which hold the one-sided
-    constraints, too; with closed loops they are then looked for from nearly singular ones between
-    the starts, besides. Of the `budget` are read: starts (64, at most a million), rng (0),
-    time_limit (120 s), and progress(starts done, all).
-    Errors: `InputError`, `UnknownNameError`.
-    """
+    """Find singular configurations of a frame or of closed loops; see `System.singularities`."""
     spend = USUAL.complete_budget(budget)
     limits = read_flag(limits, "limits")
     name = None if frame is None else system.structure.frame_name(frame)

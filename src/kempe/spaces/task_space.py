@@ -210,21 +210,7 @@ def task_space(
     task: str | None = None,
     budget: Budget | None = None,
 ) -> TaskSpace:
-    """Compute the dimensions m and n and the ranks of tasks, and bounds of their image.
-
-    `tasks` is a frame, whose pose counts (or, with ``task="position"``, its position), a task of
-    `kempe.tasks` or a list of them. Ranks are those of the task's rates by the velocities that
-    loops leave, at `q` (nq,) (by default a configuration that was drawn) and, for the generic rank,
-    at random configurations; the image is that of those within limits and one-sided constraints, of
-    a tree of 10 000 more. Of the `budget` are read: starts (64 random configurations), rng (0),
-    time_limit (30 s): where it ends the work, `late` is true, and what is said rests on the
-    `samples` that were looked at. Errors: `InputError`, `UnknownNameError`, `TimeLimitError` before
-    the first of them.
-
-    >>> from kempe import load
-    >>> print(task_space(load("two_link"), "e", task="position").status)
-    position of 'e': m = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
-    """
+    """Compute the dimension, the ranks and bounds of the image of tasks; see `System.task_space`."""
     spend = USUAL.complete_budget(budget)
     wanted, name, frame = _read_tasks(system, tasks, task)
     rng = make_generator(spend.rng)

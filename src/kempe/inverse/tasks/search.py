@@ -618,35 +618,18 @@ BATCH = Usual("ik", starts=None, iterations=STEPS, time_limit=None, rng=0, threa
 
 
 def reach_tasks(problem: Problem) -> Reached:
-    """Find a configuration that satisfies several tasks at once.
+    """Find a configuration that satisfies several tasks at once; see `System.ik`.
 
-    `wanted` are tasks of `kempe.tasks`, hard or soft and in strict priorities; goals with leading
-    axes make a batch. Joint limits, couplings, relations and closed loops hold, too. `start` (nq,)
-    or (..., nq), or a dict by name, is the first start (default: the posture 'closed' of the file,
-    else the middle of the limits). `prefer` says what is made least in the freedoms that all tasks
-    leave: "nearest" (distance to the start), "mid" (distance to the middle of the limits),
-    "manipulability" (its inverse, of the hard tasks), or a function of q (nq,). `tolerance` is the
-    largest error of a hard task in metres and radians, by default 1e-6 each; what is reached is
-    then closed to rounding where it converges. Soft tasks alone are lowered from up to five starts,
-    the least counts.
+    Hard tasks are solved first. Soft tasks alone are minimised from up to five starts, and the
+    smallest error counts. The default number of starts is 60, and then as many as the problem
+    deserves: none where a proof shows that there is no solution; 30 times the square of the number
+    of limited coordinates that the tasks move (300 to 15 000) where a solution without limits was
+    found; else a tenth of that number. A lower level takes four times as many steps as the
+    iterations of one start. A success is verified by the forward model: hard tasks, limits and
+    loops.
 
-    Of the `budget` are read: starts, iterations (60), time_limit, rng (0), threads. Starts are
-    drawn from rng: the same arguments give the same answer, whatever the threads. By default they
-    are 60, then as many as the problem deserves: no more where it is proven that there is no
-    answer; where one is found without the limits, 30 times the square of the number of limited
-    coordinates that the tasks move (at least 300, at most 15 000); else a tenth of these.
-    Iterations are the steps of one start, at most, and four times as many those of a lower level
-    from one start. The time limit is looked at before each start: an answer that it ended says so,
-    and is the only one that depends on the machine. By default it is 30 s for one problem; a batch
-    has none. Where tasks or constraints are Python functions, one problem is given up after 10 000
-    calls of these if a search without limits, or for these alone, finds nothing.
-
-    A success is checked by the forward model: hard tasks, limits and loops. Else the answer says
-    what fails and why, and ``answer.expect()`` raises `NoSolutionError`; its `q` is the nearest
-    found, by the sum of squares of what tasks miss, in characteristic lengths and radians. Method:
-    damped least squares with an active set of limits and restarts (Levenberg, 1944; Sugihara,
-    2011), then the lower levels in the null space of the higher ones (Siciliano and Slotine, 1991).
-    Errors: `InputError`, `UnknownNameError`.
+    Sources: Levenberg (1944) and Sugihara (2011) for damped least squares with an active set of
+    limits; Siciliano and Slotine (1991) for lower levels in the null space of higher ones.
     """
     system = problem.system
     prefer = problem.prefer
