@@ -242,9 +242,16 @@ class Nearest(Protocol):
 class Result:
     """Base of all results: `Answer`, which has configurations, and `Report`, which has findings.
 
-    `success` (...) says whether the question was answered, `code` (...) is its `Status` (of a batch
-    an array of their numbers), `status` (...) the sentence that says so. A result is true where all
-    of `success` is; `print` it.
+    A result is true if all of `success` is true. Printing a result shows its findings.
+
+    Attributes
+    ----------
+    success
+        Mask (...) of what was found; a bool for a single call.
+    code
+        `Status`, or an array of status numbers for a batch.
+    status
+        Sentences that state the outcome and its reason.
     """
 
     success: Any
@@ -376,7 +383,7 @@ by_code: Any = property(
 
 @explain_method_errors
 class Report(Result):
-    """A result with findings about a system and their reasons. The `sentence` is the `status`."""
+    """Result with findings about a system and their reasons. Its `status` is one sentence."""
 
     code: Any = Status.SOLVED
     success = by_code

@@ -59,14 +59,7 @@ __all__ = ["FrameLike", "System"]
 
 @explain_errors
 def open_loops(system: SystemType, joints: str | Iterable[str] | None = None) -> SystemType:
-    """Return the system without these joints, by default without the cut joints, which makes it a
-    tree.
-
-    Where a joint was, each moving body keeps a frame, called "C on rocker" for joint C and the body
-    rocker. What postures, locks and groups say of the joints goes with them. Errors:
-    `UnknownNameError`; `InputError` where there is no joint to take out; `DescriptionError` where a
-    body would hang on nothing, or where a coupling or a constraint needs a coordinate that is gone.
-    """
+    """Return the system without these joints, by default the cut joints; see `System.open_loops`."""
     given = [joints] if isinstance(joints, str) else joints
     names = system.structure.closures if given is None else tuple(map(str, given))
     if not names:
@@ -116,10 +109,45 @@ class Pictured:
     @explain_errors
     @add_signature_options(PlotOptions)
     def plot(self: Any, q: Any = None, *, path: Any = None, **options: Any) -> Any:
-        """Draw the system at one or several configurations, or along a motion, in Matplotlib axes.
+        """Draw the system at one or several configurations, or along a motion.
 
-        See `kempe.views.plots.plot` for what is drawn, `kempe.views.plot_options.PlotOptions` for
-        the options.
+        Parameters
+        ----------
+        q
+            Configuration (nq,), values by name, or the name of a posture; several configurations
+            (k, nq); or an answer that has them, such as `Solution` or `Modes`. Several are drawn
+            one over the other, with their names, or `side_by_side`. Default: the posture 'closed',
+            else `mid`, with closed loops where possible; with a `path`, its configuration nearest
+            to home.
+        path
+            Motion: configurations (n, nq), or an answer with a `q` of this shape. Curves of the
+            named `frames` are drawn over it.
+        **options
+            Fields of `kempe.views.plot_options.PlotOptions`.
+
+        Returns
+        -------
+        Axes
+            Matplotlib axes, or a tuple of axes with `side_by_side`. ``.figure.savefig("name.png")``
+            writes the picture.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such frame.
+        UnsupportedError
+            For a workspace that cannot be drawn.
+        CallError
+            For unknown options.
+        MissingExtraError
+            Without the extra [view].
+
+        Notes
+        -----
+        Driven joints are marked. Loops that are open, and targets that an answer misses, are drawn
+        with their distance.
         """
         from kempe.views.plots import plot
 
@@ -136,7 +164,36 @@ class Pictured:
         seconds: float = 4.0,
         fps: float = 15.0,
     ) -> FilePath:
-        """Write a motion as a moving picture (.gif, .mp4, .html); see `kempe.views.films.animate`."""
+        """Write a motion as an animation.
+
+        Parameters
+        ----------
+        path
+            Answer with a motion or several configurations, or configurations (n, nq) at equal
+            intervals.
+        file
+            File name; its ending selects the format: .gif, .mp4 or .html.
+        frames
+            Names of frames whose curves are drawn.
+        labels
+            Labels in the picture, as in `plot`.
+        seconds, fps
+            Duration in seconds, and pictures for each second.
+
+        Returns
+        -------
+        Path
+            Path of the file.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes and endings.
+        UnsupportedError
+            For .mp4 without the program ffmpeg.
+        MissingExtraError
+            Without the extra [view].
+        """
         from kempe.views.films import animate
 
         return animate(self, path, file, frames=frames, labels=labels, seconds=seconds, fps=fps)
@@ -153,9 +210,44 @@ class Pictured:
         browser: bool = True,
         deg: bool = False,
     ) -> Viewer:
-        """Show the system in the browser, where the user can move the system.
+        """Show the system in the browser, where the mouse moves it.
 
-        See `kempe.views.viewer.live.show`.
+        Parameters
+        ----------
+        q
+            Configuration (nq,) or values by name (default: as in `plot`). Open loops are closed
+            from it.
+        frame
+            Name of the frame that is dragged (default: the last one declared).
+        path
+            Motion to play: configurations (n, nq), or an answer with a `q` of this shape.
+        share
+            All pages show one configuration. Otherwise each page has its own.
+        port
+            Port of the page on this machine (default: 8080, or the next free one).
+        browser
+            Open the page in the browser.
+        deg
+            Show angles in degrees; a switch on the page changes that.
+
+        Returns
+        -------
+        Viewer
+            The page with its address `url`. It is served until `close`, the end of a ``with``
+            block, or the end of Python.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes, and a port that is in use.
+        UnknownNameError
+            If there is no such frame.
+        MissingExtraError
+            Without the extra [view].
+
+        Notes
+        -----
+        A `UserWarning` names the meshes that are not drawn.
         """
         from kempe.views.viewer.live import show
 
@@ -167,9 +259,31 @@ class Pictured:
     def save_html(
         self: Any, file: str | FilePath, q: Any = None, *, path: Any = None, seconds: float = 6.0
     ) -> None:
-        """Write an HTML page with the moving system in 3D that needs no server.
+        """Write an HTML page with the system in space, which needs no server or network.
 
-        See `kempe.views.viewer.pages`.
+        The mouse turns the view. Sliders and targets need the live page of `show`.
+
+        Parameters
+        ----------
+        file
+            File name that ends in .html, in a folder that exists.
+        q
+            Configuration (nq,) or values by name (default: as in `plot`).
+        path
+            Motion that is played repeatedly: configurations (n, nq), or an answer with such a `q`.
+        seconds
+            Duration of the motion in seconds.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes, another ending, or a folder that does not exist.
+        MissingExtraError
+            Without the extra [view].
+
+        Notes
+        -----
+        A `UserWarning` names the meshes that are not drawn.
         """
         from kempe.views.viewer.pages import save_html
 
@@ -177,9 +291,21 @@ class Pictured:
 
     @explain_errors
     def plot_tree(self: Any, ax: Axes | None = None) -> Axes:
-        """Draw the tree of bodies and joints in Matplotlib axes.
+        """Draw the spanning tree: bodies as circles by depth, joints as lines with their letters.
 
-        See `kempe.views.overviews.plot_tree`.
+        Joints that close loops are dashed red lines. Letters: R revolute, P prismatic, H helical, C
+        cylindrical, U universal, E planar, T translation, S spherical, F free. A product has the
+        letters of its factors.
+
+        Parameters
+        ----------
+        ax
+            Matplotlib axes (default: new ones).
+
+        Returns
+        -------
+        Axes
+            The axes of the picture.
         """
         from kempe.views.overviews import plot_tree
 
@@ -205,7 +331,60 @@ class Pictured:
         resolution: int = 240,
         budget: Budget | None = None,
     ) -> tuple[Axes, Axes]:
-        """Draw configuration space and task space side by side; see `kempe.views.space_pictures`."""
+        """Draw configuration space and task space of a system with two freedoms side by side.
+
+        Parameters
+        ----------
+        frame
+            Name of the frame whose places are drawn.
+        points
+            Places (k, 2) that the frame should reach. Their solutions are marked in both pictures;
+            where there is none, the nearest place and its distance.
+        q
+            Configuration (nq,), drawn as a point; a line of configurations (n, nq) or an answer
+            with such a `q`, drawn as a line that starts at a ring; or a list of these.
+        task
+            Two numbers of the frame: "xy", "xz" or "yz" (position along two ground axes in metres),
+            or "direction" (azimuth and elevation of its z axis in radians).
+        grid
+            Draw lines on which one coordinate is constant, and their images.
+        ax
+            Pair of Matplotlib axes (default: new ones).
+        resolution
+            Number of places along each axis, 8 to 1000.
+        budget
+            Reads time_limit (120 s) and progress(places, all), for each of the two pictures.
+
+        Returns
+        -------
+        tuple of Axes
+            Axes of the configuration space and of the task space. After the time limit they show
+            the finished part.
+
+        Raises
+        ------
+        UnsupportedError
+            For another number of freedoms, and frames whose places form a curve only.
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such frame.
+        Interrupted
+            After Ctrl-C, with the axes as its `answer`.
+
+        Notes
+        -----
+        Limits are a rectangle on the left, and their image on the right. Edges of a full turn are
+        dotted. Red lines are singular: the frame's velocity loses a direction. Shades count the
+        configurations within limits that reach a place.
+
+        With closed loops the left axes are the two actuated coordinates, or others that place the
+        mechanism, and shades count assembly modes. Idle freedoms do not count. Solid singular lines
+        are of type 1 (the frame loses a direction); dashed ones are of type 2 (the frame moves
+        although both coordinates are held), and there modes meet. Limits of other coordinates are
+        lines, too. Counts come from closed forms for planar chains and dyads. Otherwise each
+        configuration found is followed from place to place, and more may exist.
+        """
         from kempe.views.space_pictures import plot_spaces
 
         return plot_spaces(
@@ -405,9 +584,70 @@ class System(Model, Pictured):
         path: str | FilePath | None = None,
         budget: Budget | None = None,
     ) -> Workspace:
-        """Compute the workspace of a frame as a sampled map, of the requested `kind`.
+        """Compute the workspace of a frame as a map of random samples.
 
-        See `kempe.workspace.workspace`.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        kind
+            "reachable" (default): places in some orientation. "constant-orientation": places in one
+            `orientation`. "dexterous": places in several orientations (default: 180 angles in the
+            plane, 256 evenly spread rotations in space). "orientation": orientations in which the
+            frame reaches the place `at`.
+        orientation
+            Angles in radians in the plane; in space rotations (..., 3, 3), or roll, pitch and yaw
+            (3,).
+        at
+            Place (d,) of the frame's origin in metres.
+        n
+            Number of samples (default: 1e7, with closed loops 1e5; other kinds: one for each cell).
+        cells
+            Number of cells along the longest edge of the box, or along each axis.
+        box
+            Bounds (d, 2) of the map in metres (default: those of the first positions, a tenth
+            wider).
+        client
+            A `distributed.Client` or the address of a scheduler: a Dask cluster does the work.
+        path
+            Path of a Zarr store. The map is written there as it grows. The same call continues
+            after an interruption, and a larger `n` adds samples.
+        budget
+            Reads rng (0), threads, time_limit (none) and progress(samples, n).
+
+        Returns
+        -------
+        Workspace
+            Counts of samples in cells, with `volume` or `area`, `contains` and `boundary`. After
+            the time limit it holds the finished samples.
+
+        Raises
+        ------
+        InputError
+            For a frame that does not move, for slides without limits if there is no box, and for a
+            path with another map.
+        UnknownNameError
+            If there is no such frame or kind.
+        KernelsError
+            For a map of other kernels.
+        DiskError
+            If the map cannot be written.
+        MissingExtraError
+            For `client` or `path` without the extra [scale].
+        Interrupted
+            After Ctrl-C, with the finished samples as its `answer`.
+
+        Notes
+        -----
+        Samples of a reachable workspace are configurations within limits: uniform coordinates,
+        angles without limits in a full turn, uniform quaternions. With closed loops, each sample is
+        closed first, and dropped if it violates a constraint; this is about a thousand times
+        slower. Samples of the other kinds are random places or orientations, equally many in each
+        cell, which inverse kinematics decides; so are samples of systems with slides without limits
+        if there is a box.
+
+        Memory does not depend on `n`. The samples depend only on the seed and their number, so any
+        number of threads or workers gives the same map.
         """
         from kempe.workspace.workspace import workspace
 
@@ -1022,9 +1262,60 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Assembly:
-        """Find a configuration that closes all loops, with the `known` coordinates given.
+        """Find a configuration that closes all loops, with known coordinates or places of frames.
 
-        See `assemble.assemble.assemble`.
+        Parameters
+        ----------
+        known
+            Values in radians and metres by coordinate name, and positions (..., 3) or poses (...,
+            4, 4) by frame name (in planar systems also (..., 2)). Arrays make a batch. "t" is the
+            time of equations in time, one number. A coordinate that follows another one may be
+            given if its value fits.
+        start
+            First start: a configuration (..., nq) or values by name (default: the posture 'closed',
+            else the middle of the limits). The answer stays close to it.
+        branch
+            Branch of a planar mechanism of dyads as signs, such as '+-' (see `assembly_modes`), or
+            the name of a posture at which the search starts.
+        prefer
+            "nearest": no small motion within the limits leads nearer to `start`. "continuous": each
+            row of a batch starts where the last two rows lead.
+        limits
+            Keep coordinates inside their limits. One-sided constraints always hold.
+        also
+            Further constraints of `kempe.constraints` for this call, or functions of q (nq,) that
+            must be zero.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `idealise`. Where there is no such mechanism,
+            the largest residual of a success.
+        budget
+            Reads starts (20), rng (0), threads, and time_limit (30 s, none for a batch).
+
+        Returns
+        -------
+        Assembly
+            Configuration `q` (..., nq) with `success`. Where a loop stays open, `q` is the
+            configuration nearest to closing, and `status` names the open loop and its gap. Rows
+            that the time limit ended have the code `OUT_OF_TIME`.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values, and values of followers that do not fit.
+        UnknownNameError
+            If there is no such coordinate, frame, branch or preference.
+
+        Notes
+        -----
+        `start` is tried first; other starts are drawn around it from rng, at growing distances.
+        Redundant constraints are no obstacle. Source of the method (damped least squares with steps
+        of minimum norm): Nakamura and Hanafusa, 1986; Sugihara, 2011. A long sequence with
+        ``prefer="continuous"`` that stays away from the places where branches of dyads meet is
+        computed in closed form.
+
+        If the time limit ends the search for the nearest exact mechanism, nothing counts as closed,
+        and the answer says so. This search is made once for each system.
         """
         from kempe.assemble.assemble import assemble
 
@@ -1043,9 +1334,33 @@ class System(Model, Pictured):
     def idealise(
         self, tolerance: float | str | None = "measured", *, budget: Budget | None = None
     ) -> Idealised | None:
-        """Find the nearest system that closes exactly and moves, and the differences.
+        """Find the nearest mechanism that closes exactly and moves, and list what differs.
 
-        See `kempe.assemble.nearest_exact`.
+        Dimensions with small errors, such as rounded or measured ones, can stop a mechanism with
+        redundant constraints from moving. Small changes of its joint placements make it exact
+        again.
+
+        Parameters
+        ----------
+        tolerance
+            Largest change of a placement in metres and radians; or "measured", the smallest change
+            that suffices, up to a hundredth of the system's size; or None, the tolerance of the
+            system, else rounding.
+        budget
+            Reads time_limit (120 s).
+
+        Returns
+        -------
+        Idealised or None
+            The exact mechanism and its changed dimensions. None if the given mechanism closes as it
+            is, or if there is no exact mechanism within the tolerance.
+
+        Raises
+        ------
+        InputError
+            For a wrong tolerance.
+        TimeLimitError
+            If the search did not end within the time limit.
         """
         from kempe.assemble.nearest_exact import idealise
 
@@ -1062,9 +1377,53 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Modes:
-        """Find all configurations that close the loops with the `known` coordinates given.
+        """Find all configurations that close the loops with known coordinates or places of frames.
 
-        See `kempe.assemble.modes`.
+        Parameters
+        ----------
+        known
+            Values in radians and metres by coordinate name, and positions or poses by frame name.
+            "t" is the time of equations in time (default: 0).
+        start
+            Configuration (nq,) that sorts the answer, the nearest first, and chooses among whole
+            turns of angles (default: near zero).
+        limits
+            Drop configurations outside the joint limits. Otherwise `inside` marks the
+            configurations inside, and random starts cover whole turns.
+        frame
+            Name of a frame: configurations with the same pose of this frame count as one. Without
+            it, configurations that differ only by idle freedoms count as one.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `idealise`.
+        budget
+            Reads starts (at most 4096), rng (0), time_limit (120 s) and progress(starts, modes).
+
+        Returns
+        -------
+        Modes
+            Configurations `q` (k, nq), each once. `complete` states that there are no others, with
+            the `reason`. After the time limit these are the modes found by then.
+
+        Raises
+        ------
+        InputError
+            For values that are not single numbers.
+        UnknownNameError
+            If there is no such coordinate or frame.
+        Interrupted
+            After Ctrl-C, with the modes found by then as its `answer`.
+
+        Notes
+        -----
+        Planar mechanisms of dyads are solved in closed form. Their modes are complete unless a
+        branch is undetermined: coinciding centres, links without length, parallel slides, roots
+        that merge before others, or whole turns that move a gear. `status` names the dyad, and
+        least squares search its branch.
+
+        Other mechanisms are assembled from random starts, and from mirror images and combinations
+        of the modes found. `coverage` estimates what was missed. Starts go on while the number of
+        modes is odd where it must be even.
         """
         from kempe.assemble.modes import assembly_modes
 
@@ -1076,9 +1435,37 @@ class System(Model, Pictured):
     def independent(
         self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
     ) -> Chart:
-        """Choose independent coordinates at a closed q, which determine all other coordinates.
+        """Choose independent coordinates at a closed configuration; they determine all others.
 
-        See `kempe.mobility.independent`.
+        Parameters
+        ----------
+        q
+            Closed configuration (nq,) (default: the one that `assemble` finds).
+        prefer
+            Names of coordinates that must be among the independent ones.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `idealise`.
+
+        Returns
+        -------
+        Chart
+            The independent coordinates, with the map to configurations.
+
+        Raises
+        ------
+        InputError
+            If `q` is not closed, or if the preferred coordinates are not independent; with the
+            reason.
+        UnknownNameError
+            If there is no such coordinate.
+
+        Notes
+        -----
+        The coordinates with the best condition are chosen one by one, by QR with column pivoting of
+        the tangent space (Golub, 1965). Angles and lengths come first, then rotation vectors of
+        ball joints from `q` on (`B.ex`, `B.ey`, `B.ez` for a joint B), and last the coordinates
+        that only move idle freedoms.
         """
         from kempe.mobility.independent import independent
 
@@ -1104,11 +1491,45 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Mobility:
-        """Compute the degrees of freedom, with the reasoning.
+        """Compute the degrees of freedom of the system, with the reasoning.
 
-        They are found by the Gruebler count, by rank, and locally exact.
+        Parameters
+        ----------
+        q
+            Configuration (nq,) or values by coordinate name (default: the posture 'closed', else a
+            closed configuration that a search finds). The nearest closed configuration is used.
+            Where there is none, only the count is given.
+        actuated
+            Names of joints or coordinates whose control is examined (default: those marked in the
+            file).
+        local
+            Determine the exact local number where the rank does not prove it. False is faster.
+        rng
+            Generator or seed for generic configurations.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `idealise`.
+        budget
+            Reads time_limit (30 s).
 
-        See `kempe.mobility.mobility`.
+        Returns
+        -------
+        Mobility
+            `gruebler` (count), `rank_dof` (nullity of the loop equations at `q`), `dof` (exact
+            local number), redundant constraints and idle freedoms; printed, the reasoning. If the
+            time limit ends the search for `dof`, `late` is true and `dof` is None.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such joint or coordinate.
+
+        Notes
+        -----
+        Where the three angles of a ball joint are singular coordinates, the joint is examined in
+        other angles; `rank` and `local` then refer to these.
         """
         from kempe.mobility.mobility import mobility
 
@@ -1124,11 +1545,46 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Classification:
-        """Determine the kind of each constraint: holonomic or not, redundant.
+        """Determine the kind of each constraint, and the dimension that motions can reach.
 
-        It also counts freedoms of configuration and velocity.
+        Parameters
+        ----------
+        q
+            Configuration (nq,) or values by coordinate name (default: as in `mobility`).
+        t
+            Time in seconds, for constraints that depend on it.
+        project
+            Replace a `q` that violates position constraints by the nearest closed configuration.
+            `moved` is then its distance. Without it such a `q` is refused.
+        rng
+            Generator or seed for brackets and for configurations near `q`.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `idealise`.
+        budget
+            Reads time_limit (30 s).
 
-        See `kempe.mobility.classify`.
+        Returns
+        -------
+        Classification
+            Kind of each constraint ("holonomic", "integrable", "nonholonomic" or "unilateral"), the
+            freedoms of position and velocity, the growth vector and the reachable dimension. If the
+            time limit ends the search for growth vectors, `late` is true, and growth and reachable
+            dimension are None.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values, and a `q` that violates constraints without `project`.
+        UnsupportedError
+            For constraints that are not recorded expressions, by name.
+        TimeLimitError
+            If the freedoms are not known within the time limit.
+
+        Notes
+        -----
+        Ranks compare singular values with an estimate of rounding. `doubtful` is true where a
+        singular value is close to that estimate.
         """
         from kempe.mobility.classify import classify
 
@@ -1147,9 +1603,69 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Motion:
-        """Trace the whole branch of a mechanism with one freedom, as a `Path`.
+        """Trace the whole branch of a mechanism with one degree of freedom.
 
-        See `kempe.motion.trace.trace`.
+        Parameters
+        ----------
+        driver
+            Name of the input coordinate. The path begins with growing values of it; points where it
+            turns back are the dead points.
+        start
+            Configuration (nq,), name of a posture, or known coordinates by name (default: the
+            posture 'closed', else the middle of the limits). It is closed first.
+        hold
+            Values of coordinates that stay fixed, by name.
+        toward
+            Rates by coordinate name that choose the direction, and the branch if `start` is a
+            bifurcation.
+        ways
+            "both" directions from the start, "forward" only, or "branches": both, and the branches
+            at bifurcations (`Path.others`).
+        limits
+            End the path at joint limits.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `idealise`.
+        budget
+            Reads points (at most 100 000), step (arc length, at most 0.1), time_limit (120 s) and
+            progress(points, length).
+
+        Returns
+        -------
+        Path
+            Configurations in their order. The path ends where it closes on itself, at a limit,
+            where it is found to have no end (a slide that runs away, gears with a ratio that never
+            closes), or where the budget ends. `late` is true after the time limit.
+
+        Raises
+        ------
+        UnsupportedError
+            If more than one degree of freedom remains; the error names it.
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such coordinate or posture.
+        Interrupted
+            After Ctrl-C, with the finished part as its `answer`.
+
+        Notes
+        -----
+        The path goes straight on where branches cross or touch, and back along itself at a cusp.
+        Where branches touch to third order, or more than two touch, a path that does not start
+        there may end or change to another branch.
+
+        Examples
+        --------
+        >>> from kempe import Mechanism
+        >>> m = Mechanism("slider-crank", dim=2)
+        >>> crank, rod, slider = m.body("crank"), m.body("rod"), m.body("slider")
+        >>> _ = m.revolute("A", m.ground, crank)
+        >>> _ = m.revolute("B", crank, rod, at=(1, 0))
+        >>> _ = m.revolute("C", rod, slider, at=(2, 0))
+        >>> _ = m.prismatic("S", m.ground, slider, axis=(1, 0))
+        >>> path = m.build().trace("S", {"A": 0.5})
+        >>> path.closed, [round(e.value, 9) for e in path.turning_points]
+        (True, [3.0, 1.0])
         """
         from kempe.motion.trace import trace
 
@@ -1178,9 +1694,68 @@ class System(Model, Pictured):
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Drive:
-        """Compute the continuous motion that follows prescribed inputs.
+        """Compute the continuous motion that follows prescribed inputs, on the branch of the start.
 
-        See `kempe.motion.drive.drive`.
+        Parameters
+        ----------
+        inputs
+            Values by coordinate name in radians or metres: an array (n,), one number, or a function
+            of time.
+        times
+            Growing times (n,) in seconds; functions and equations in time need them.
+        start
+            Configuration (nq,), name of a posture, or known coordinates by name (default: the
+            posture 'closed', or the configuration of the first inputs).
+        hold
+            Values of coordinates that stay fixed, by name.
+        toward
+            Rates by coordinate name that choose the branch if `start` is a change point (default:
+            the branch that moves least).
+        limits
+            Keep coordinates inside their limits.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `idealise`.
+        budget
+            Reads step (arc length, at most 0.1), time_limit (600 s) and progress(sample, total).
+
+        Returns
+        -------
+        Drive
+            Closed configurations `q` (n, nq), one for each sample. Where the inputs cannot be
+            reached, the last configuration is `held`. After the time limit these are the finished
+            samples.
+
+        Raises
+        ------
+        UnsupportedError
+            If the inputs leave freedoms or contradict each other.
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such coordinate or posture.
+        Interrupted
+            After Ctrl-C, with the finished samples as its `answer`.
+
+        Notes
+        -----
+        Samples may be coarse: between them the motion is continued in steps of arc length. It goes
+        straight on through change points. With velocity constraints, the other coordinates roll
+        along from the first values of the inputs, and the motion ends before it slips; `status`
+        gives the place. `toward` and the step do not count then.
+
+        Examples
+        --------
+        >>> from kempe import Mechanism
+        >>> m = Mechanism("parallelogram", dim=2)
+        >>> left, bar, right = m.body("left"), m.body("bar"), m.body("right")
+        >>> _ = m.revolute("A", m.ground, left)
+        >>> _ = m.revolute("B", left, bar, at=(1, 0))
+        >>> _ = m.revolute("C", bar, right, at=(3, 0), child_at=(1, 0))
+        >>> _ = m.revolute("D", m.ground, right, at=(3, 0))
+        >>> motion = m.build().drive({"A": [0.0, 2.0, 4.0, 6.0]})
+        >>> motion.values("D").round(9).tolist(), len(motion.singular_points)
+        ([0.0, 2.0, 4.0, 6.0], 1)
         """
         from kempe.motion.drive import drive
 
@@ -1205,9 +1780,45 @@ class System(Model, Pictured):
         radius: float | None = None,
         budget: Budget | None = None,
     ) -> Manoeuvre:
-        """Find a motion of a rolling system between configurations, without slip.
+        """Find a motion of a rolling system from one configuration to another, without slip.
 
-        See `motion.manoeuvre`.
+        Parameters
+        ----------
+        start, goal
+            Configurations (nq,) or values by coordinate name; coordinates without a value are
+            neutral.
+        radius
+            Smallest turning radius of the axle's midpoint in metres; 0 allows turns on the spot
+            (default: the radius at the steering limits, else 0).
+        budget
+            Reads points (200) and time_limit (30 s).
+
+        Returns
+        -------
+        Manoeuvre
+            Configurations `q` (n, nq) at times `t` (n,), about as many as the points of the budget,
+            the ends of all pieces among them. Angles of wheels end where the motion brings them,
+            whatever the goal says.
+
+        Raises
+        ------
+        UnsupportedError
+            For systems without a known manoeuvre; with the reason.
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such coordinate.
+
+        Notes
+        -----
+        The system is a body that moves in a plane by two slides and a rotation, with an axle that
+        does not slip sideways: a knife edge, a unicycle, an upright coin, a differential drive, or
+        a car with one steering angle. The axle may be anywhere on the body. Other coordinates may
+        be idle, steer, or follow.
+
+        With a radius, the axle takes the shortest path of Reeds and Shepp (1990), and the heading
+        may end whole turns away from its value in `goal`. The axle moves at up to 1 m/s and turns
+        at up to 1 rad/s, or slower by the velocity limits of the system.
         """
         from kempe.motion.manoeuvre import manoeuvre
 
@@ -1226,9 +1837,56 @@ class System(Model, Pictured):
         tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Simulation:
-        """Simulate the motion under given velocities, or of a bouncing ball.
+        """Simulate the motion under given velocities, or the flight of a bouncing ball.
 
-        See `kempe.motion.simulate`.
+        Parameters
+        ----------
+        duration
+            Duration in seconds; time starts at 0.
+        start
+            Configuration (nq,), values by name, or the name of a posture.
+        inputs
+            Velocities by name: numbers, or functions of time in seconds. A name is a velocity
+            coordinate, or a component of a frame's twist in its own axes such as "car.vx" [m/s] or
+            "car.wz" [rad/s]. Without inputs, one ball or particle falls and bounces.
+        velocity
+            Initial velocity (nv,) of the ball (default: at rest).
+        acceleration
+            Uniform acceleration (3,) of the ball in m/s^2 (default: 9.81 along -z, in the plane
+            along -y).
+        restitution
+            Ratio of the normal speeds after and before an impact, from 0 to 1.
+        tolerance
+            Local error of the integration of `inputs` (default: 1e-11).
+        budget
+            Reads points (200) and time_limit (600 s).
+
+        Returns
+        -------
+        Simulation
+            Configurations and velocities at evenly spread times, and at the times of all events.
+
+        Raises
+        ------
+        UnsupportedError
+            For motions that need masses, with the reason.
+        InputError
+            For wrong shapes or values, and a start inside a plane.
+        UnknownNameError
+            If there is no such coordinate or frame.
+
+        Notes
+        -----
+        With `inputs`, the other velocities follow from velocity constraints and closed loops.
+        Position constraints hold at each sample to rounding. The motion ends where a coordinate
+        reaches a limit, or where the inputs are impossible.
+
+        Without `inputs`, the body bounces on smooth planes: contacts, other inequalities, and
+        limits of its slides. Times of impacts have a closed form, also beyond the infinitely many
+        bounces that end at t1 + 2 v / (a (1 - e)), where v is the normal speed after the impact at
+        t1, a the acceleration and e the restitution. With moving planes, an impact reverses the
+        rate of the gap, a resting body moves along while the plane pushes, and times of impacts are
+        found numerically from the gap at 1024 times.
         """
         from kempe.motion.simulate import simulate
 
@@ -1247,7 +1905,27 @@ class System(Model, Pictured):
     # ---- other systems from this one
 
     def with_parameters(self, **numbers: Any) -> System | Designs[System]:
-        """Return the system with other parameter values; arrays of values give a batch of designs."""
+        """Return the system with other parameter values, or a batch of designs.
+
+        Parameters
+        ----------
+        **numbers
+            Values by parameter name. Arrays broadcast to one shape.
+
+        Returns
+        -------
+        System or Designs
+            A system for plain numbers; `Designs` if a value is an array.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such parameter.
+        InputError
+            For values that are not numbers, and shapes that do not fit together.
+        UnsupportedError
+            For arrays on which a coupling depends.
+        """
         from kempe.forward.parameter_batches import with_parameters
 
         return with_parameters(self, numbers)
@@ -1255,15 +1933,54 @@ class System(Model, Pictured):
     def open_loops(self, joints: str | Iterable[str] | None = None) -> System:
         """Return the system without the given joints: the open chain or tree of a closed loop.
 
-        See `kempe.system`.
+        Each moving body keeps a frame at the joint, called "C on rocker" for a joint C of the body
+        rocker. Postures, locks and groups lose the removed coordinates.
+
+        Parameters
+        ----------
+        joints
+            Name of a joint, or several (default: the joints that the spanning tree left out).
+
+        Returns
+        -------
+        System
+            The opened system.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such joint.
+        InputError
+            If there is no joint to remove.
+        DescriptionError
+            If a body would be detached, or if a coupling or constraint needs a removed coordinate.
         """
 
         return open_loops(self, joints)
 
     def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
-        """Return the system with other limits, by coordinate name.
+        """Return the system with other limits; tree, coordinates and postures stay the same.
 
-        See `kempe.forward.limits.with_limits`.
+        Parameters
+        ----------
+        limits
+            Pairs (lower, upper) in radians and metres by coordinate name, or an array (nv, 2). None
+            stands for no limit, as a pair or as one of its ends.
+        velocity
+            Largest speeds in rad/s and m/s: one number, an array (nv,), or values by name with None
+            for no limit.
+
+        Returns
+        -------
+        System
+            The system with these limits. Coordinates without a name keep their limits.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such coordinate.
+        InputError
+            For wrong values, and limits that a coupled coordinate does not allow.
         """
         from kempe.forward.limits import with_limits
 

@@ -45,15 +45,20 @@ class Row:
 
 @explain_method_errors
 class Answer(Result, Tabular):
-    """Base of answers: configurations `q` (..., nq) of a `system`, with the mask `success` (...).
+    """Base of answers with configurations of a system.
 
-    The method `sentence` gives the reason for each outcome.
+    A batch behaves as a list of configurations: it has a length, ``answer[k]`` is row k of `q`, and
+    ``for q in answer`` visits all rows. The method `sentence` gives the text for an outcome.
 
-    A batch is a list of configurations: it has a length, ``answer[k]`` is a row of `q`, and
-    ``for q in answer`` goes through them.
-
-    Rows of `q` that are no answer are the nearest found, or NaN where there is none, as for input
-    that is no number.
+    Attributes
+    ----------
+    system
+        The system.
+    q
+        Configurations (..., nq) in radians and metres. Rows without `success` are the nearest
+        configurations found, or NaN if there are none, as for input that is not finite.
+    success
+        Mask (...) of the rows that are answers.
     """
 
     system: Any
@@ -377,12 +382,17 @@ def select_rows(q: Array, k: Any) -> Array:
 
 @explain_method_errors
 class Configurations(ConfigurationList, Answer):
-    """Configurations `q` (n, nq) that answer one question together: all solutions, or a path.
+    """Base of answers with several configurations for one call: all solutions, or a path.
 
-    Base of such answers.
-
-    Where the time limit came (`late`), these are those found by then. After Ctrl-C (`interrupted`)
-    they are in the `answer` of the `Interrupted` that the verb raises.
+    Attributes
+    ----------
+    q
+        Configurations (n, nq).
+    late
+        Whether the time limit ended the work; `q` is then what was found by then.
+    interrupted
+        Whether Ctrl-C ended the work. Such an answer is in the `answer` of the `Interrupted` that
+        the verb raises.
     """
 
     interrupted: bool

@@ -23,10 +23,20 @@ if TYPE_CHECKING:
 class Assembly(Answer):
     """Answer of `assemble`: one configuration for each set of known values.
 
-    `q` (..., nq) closes all loops where `success`; elsewhere it is the configuration found that is
-    nearest to closing. `residual` is the norm of the closure equations, in radians and
-    characteristic lengths; `iterations` and `starts` count the work. All have the leading shape of
-    the known values; for a single set they are plain Python numbers.
+    All fields have the leading shape of the known values; for a single set they are plain Python
+    numbers.
+
+    Attributes
+    ----------
+    q
+        Configurations (..., nq): all loops are closed where `success`, else the configurations
+        nearest to closing.
+    residual
+        Norm of the closure equations in radians and characteristic lengths.
+    iterations, starts
+        Numbers of steps and of starts.
+    late
+        Whether the time limit ended the work.
     """
 
     __repr__ = summarize_fields

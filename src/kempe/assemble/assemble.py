@@ -54,36 +54,7 @@ def assemble(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Assembly:
-    """Find a configuration that closes all loops, with the `known` coordinates or frames given.
-
-    `known` maps names of coordinates to values in radians and metres, and names of frames to
-    positions (..., 3) (in planar systems also (..., 2)) or poses (..., 4, 4); arrays give a batch;
-    the time of equations in time is known as "t", one number. A coordinate that follows another may
-    be given beside it, with the value that it has then. What the loops leave open is decided
-    by *additional considerations*: `start` (nq,) or (..., nq), or a dict by name, is where the
-    search starts (default: the posture 'closed' of the file, else the middle of the limits); steps
-    of minimum norm keep the answer close to it, and with ``prefer="nearest"``, where freedoms are
-    left, no small motion within the limits leads nearer to it. `branch` names a branch: signs such as '+-'
-    for planar mechanisms made of dyads (see `assembly_modes`), or a posture, which is where the
-    search starts. ``prefer="continuous"``: row by row, each started where the last two lead; a long
-    sequence that keeps away from where branches of dyads meet is taken from their closed form.
-    Coordinates stay inside their limits unless `limits=False`; one-sided constraints of the system
-    always hold: a start that violates them is brought there.
-
-    Of the `budget` are read: starts (20), rng (0), threads, and time_limit (30 s; none for the
-    search of a batch, whose length says how long it takes). Sets of known values for which it ended
-    the search have the code `OUT_OF_TIME`, and in `q` what is nearest to closing by then. Where it
-    ended the search for the nearest mechanism that closes exactly, which is made once for each
-    system and decides for all verbs what is closed, nothing is a success, and the answer says so.
-    The first start is `start`; the others are drawn around it from rng, wider and wider. An open
-    loop is never a success: the answer then says which loop is open, by how much, and `q` is the
-    nearest to closing; ``answer.expect()`` raises `NoSolutionError` then. Redundant constraints are
-    no obstacle. Method: damped least squares with steps of minimum norm (Nakamura and Hanafusa,
-    1986; Sugihara, 2011).
-    `also` are constraints of `kempe.constraints`, or functions of q (nq,) that are zero, for this
-    call. `tolerance` is as in `kempe.assemble.nearest_exact`; where no other mechanism closes, the
-    largest residual of a success.
-    """
+    """Find a configuration that closes all loops; see `System.assemble`."""
     given: Mapping[str, Any] = {} if known is None else known
     # asking what a dict is takes long
     if given.__class__ is not dict and not isinstance(given, Mapping):

@@ -699,22 +699,40 @@ USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, pro
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Modes(Configurations):
-    """Configurations `q` (k, nq) that close the mechanism for the `known` inputs, each once.
+    """Answer of `assembly_modes`: all configurations that close the mechanism, each once.
 
-    `complete` says that there are no others, proven by structure: each branch of dyads either has a
-    joint that stays open whatever rounding does, or closes in one place: its circles and lines
-    cross, or meet within 1e-6 (radians, sizes of the mechanism). `branches` names them where the
-    mechanism is made of dyads ('+-', see `Plan.describe`; 0 where two branches meet), else they are
-    ''. `multiplicity` (k,) counts merged roots, or, in a search, how many starts found it: 0 where
-    only a mirror image or a mixture of others led there, or least squares in a branch of dyads that
-    the closed form leaves undetermined. `freedoms` (k,) says how many freedoms are left at each
-    with the inputs held, idle spins left out: where it is not 0, the configuration is one example
-    of infinitely many. `inside` (k,) says which respect the limits; `outside` counts what was
-    dropped because it does not. Of a search, `coverage` is a lower bound, with 95 % confidence, of
-    the share of random starts that lead to what was found (Good, Biometrika 40, 1953), which is
-    never 1, and `expected` the estimated number of modes (Chao, Scand. J. Statist. 11, 1984); both
-    are None where there is a proof. A search that was `interrupted` from the keyboard, or that the
-    time limit ended (`late`), says so.
+    Attributes
+    ----------
+    q
+        Configurations (k, nq).
+    complete, reason
+        Whether no other modes exist, proven by structure, and why.
+    branches
+        Branch of dyads of each mode as signs such as '+-' (see `Plan.describe`), 0 where two
+        branches meet; '' for other mechanisms.
+    multiplicity
+        Number (k,) of merged roots. In a search, the number of starts that found the mode; 0 for
+        modes found from mirror images, combinations, or least squares in an undetermined branch of
+        dyads.
+    freedoms
+        Number (k,) of freedoms that remain with the known values held, without idle freedoms. Where
+        it is not 0, the mode is one of infinitely many.
+    inside
+        Mask (k,) of the modes inside the limits; `outside` counts the dropped ones.
+    coverage
+        Lower bound, with 95 % confidence, of the share of random starts that lead to the modes
+        found; None with a proof.
+    expected
+        Estimated number of modes; None with a proof.
+    late, interrupted
+        Whether the time limit or Ctrl-C ended the search.
+
+    Notes
+    -----
+    A mode is proven where each branch of dyads has a joint that stays open whatever rounding does,
+    or closes in one place: its circles and lines cross, or meet within 1e-6 (radians, sizes of the
+    mechanism). Sources: Good, Biometrika 40, 1953 (coverage); Chao, Scand. J. Statist. 11, 1984
+    (expected).
     """
 
     __repr__ = summarize_fields
@@ -828,25 +846,7 @@ def assembly_modes(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Modes:
-    """Find all configurations that close the mechanism with the `known` coordinates or frames held.
-
-    The time of equations in time is known as "t", one number (default 0).
-    Planar mechanisms made of dyads are solved in closed form: then `complete` is True, but where a
-    branch is left undetermined, by centres that coincide, links without length, parallel slides,
-    roots that merge before others, or whole turns that move what is geared to them; the status
-    names the dyad, and least squares look for what closes there. Others are assembled from random
-    starts, and from mirror images and mixtures of what is found, with a bound of how much was
-    missed; starts go on while the number found is odd where it must be even. `start` (nq,) sorts
-    the answer, the nearest first, and chooses the representatives of angles (else they are near
-    zero). With `limits` what is outside the joint limits is dropped, else it is flagged by
-    `inside`, and random starts are drawn over whole turns. With `frame`, configurations that put
-    this frame at one pose count as one: legs that can be turned over would multiply the modes of a
-    platform. Without it, those that differ only by idle spins (see `mobility`) are one. Of the
-    `budget` are read: starts (4096, at most), rng (0), time_limit (120 s), progress(starts, modes),
-    called after each round of starts; the time limit leaves what was found by then, Ctrl-C as the
-    `answer` of an `Interrupted`. Errors: `UnknownNameError`, `InputError` for values that are not
-    single numbers.
-    """
+    """Find all configurations that close the mechanism; see `System.assembly_modes`."""
     given: Mapping[str, Any] = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(

@@ -133,12 +133,20 @@ class Change(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Idealised(Report):
-    """Nearest mechanism found that closes exactly, and its differences from the `given` mechanism.
+    """Nearest mechanism that closes exactly, with its differences from the `given` one.
 
-    `system` is that mechanism, with the same coordinates. `tolerance` is the largest change of a
-    placement, in metres and radians; `requested` what was allowed. `residual` is how far the given
-    loops stay open along its motion, in metres and radians, `absorbed` the same by closing joint or
-    constraint.
+    Attributes
+    ----------
+    system
+        The exact mechanism, with the same coordinates.
+    tolerance
+        Largest change of a placement, in metres and radians.
+    requested
+        The tolerance of the call.
+    residual
+        Largest gap of the given loops along its motion, in metres and radians.
+    absorbed
+        The gaps by closing joint or constraint.
     """
 
     given: Model = field(repr=False)
@@ -194,9 +202,10 @@ class Idealised(Report):
         }
 
     def close_configurations(self, q: Any) -> Array:
-        """Return the configurations (..., nq) of the ideal mechanism nearest to q.
+        """Return the configurations (..., nq) of the exact mechanism nearest to `q` (..., nq).
 
-        What is farther from closed than the tolerance explains is left as it is.
+        A configuration that is farther from closed than the tolerance explains is returned
+        unchanged.
         """
         q = read_q(self.system, q)
         off = np.linalg.norm(evaluate_constraints(self.system, q, False, True)[0], axis=-1)
@@ -318,13 +327,7 @@ USUAL = Usual("idealise", time_limit=TIME_LIMIT)
 def idealise(
     system: Model, tolerance: float | str | None = MEASURED, *, budget: Budget | None = None
 ) -> Idealised | None:
-    """Find the nearest system that closes exactly and moves, and list the changed dimensions.
-
-    None where the given one closes as it is, or where there is none within the `tolerance`: a
-    number in metres and radians, or "measured", the smallest up to a hundredth of the system's
-    size. Of the `budget` the time_limit (120 s) is read. Errors: `InputError`, `TimeLimitError`
-    where the search did not end by then.
-    """
+    """Find the nearest system that closes exactly and moves; see `System.idealise`."""
     return find_nearest_exact(system, tolerance)
 
 

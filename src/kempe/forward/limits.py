@@ -21,15 +21,7 @@ UNLIMITED = (-math.inf, math.inf)
 
 @explain_errors
 def with_limits(system: SystemType, limits: Any = None, velocity: Any = None) -> SystemType:
-    """Return the system with other limits; its tree, coordinates and postures stay the same.
-
-    `limits` are pairs (lower, upper) in radians and metres by coordinate name, None for no limit
-    (of a pair, or of one of its ends); or, as in `system.structure.limits`, an array (nv, 2) of
-    all. `velocity` are largest speeds by name, None for no limit; or one number for all, or an
-    array (nv,). What is not named keeps its limits. A coordinate that follows another can be named,
-    too. Errors: `UnknownNameError`; `InputError` for values, and where a coordinate that moves with
-    a named one would not let it have the limits that are given.
-    """
+    """Return the system with other limits of coordinates and speeds; see `System.with_limits`."""
     pairs = _read_limits(system, limits, "limits", 2)
     speeds = _read_limits(system, velocity, "velocity", 1)
     mechanism = system.mechanism

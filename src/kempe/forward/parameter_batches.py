@@ -24,10 +24,7 @@ from kempe.values import Expression
 def with_parameters(
     system: SystemType, numbers: Mapping[str, Any]
 ) -> SystemType | Designs[SystemType]:
-    """Return the system with other parameter values, or `Designs` where a value is an array.
-
-    All arrays have one broadcast shape.
-    """
+    """Return the system with other parameter values, or `Designs`; see `System.with_parameters`."""
     arrays: dict[str, np.ndarray] = {}
     for name, x in numbers.items():
         if name not in system.structure.parameters:

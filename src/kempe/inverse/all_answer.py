@@ -196,14 +196,26 @@ class Bound(Protocol):
 class Solutions(ConfigurationList, Answer):
     """All configurations that reach a target, or each target of a batch.
 
-    For one target: `q` (k, nq), those inside the limits first, each group sorted by nearness to
-    `start`. For a batch: `q` (..., K, nq), NaN where `mask` (..., K) is False; along a trajectory a
-    branch keeps its row. Of each solution: `residual` the norm of position error [m] and
-    orientation error [rad] by the forward model, `inside` whether it respects the limits,
-    `multiplicity` how many roots of the equations have merged in it (0: it is one of infinitely
-    many, see `families`), `branch` the number of its branch (-1 where branches have no numbers),
-    `names` its name ("" where there is none), `condition` the condition number of the Jacobian of
-    the task. `complete` says that there are no other isolated solutions.
+    For one target the solutions inside the limits come first; each group is sorted by distance to
+    `start`. In a batch along a trajectory, each branch keeps its row.
+
+    Attributes
+    ----------
+    q
+        Configurations (k, nq), or (..., K, nq) for a batch with NaN where `mask` (..., K) is False.
+    residual
+        Norm of the position error [m] and orientation error [rad], by the forward model.
+    inside
+        Whether each solution is inside the limits.
+    multiplicity
+        Number of roots that have merged in each solution; 0 for one of infinitely many (see
+        `families`).
+    branch, names
+        Number and name of the branch of each solution; -1 and "" for none.
+    condition
+        Condition number of the Jacobian of the task.
+    complete
+        Whether no other isolated solutions exist.
     """
 
     def __init__(
@@ -404,12 +416,24 @@ class Solutions(ConfigurationList, Answer):
         return self._reshape_rows(out)
 
     def find_branch(self, words: str | Iterable[str]) -> np.ndarray:
-        """Return a mask (k,) or (..., K) of the solutions whose names contain all given words.
+        """Return a mask of the solutions whose names contain all given words.
 
-        For example ``a.q[a.find_branch("elbow up, no flip")]``.
+        Parameters
+        ----------
+        words
+            Words such as "elbow up", as one text or several.
 
-        Errors: `InputError` where the branches of the chain have no names, `UnknownNameError` for
-        other words.
+        Returns
+        -------
+        Array
+            Mask (k,) or (..., K), for example for ``a.q[a.find_branch("elbow up, no flip")]``.
+
+        Raises
+        ------
+        InputError
+            If the branches of the chain have no names.
+        UnknownNameError
+            For other words.
         """
         return match_branch_names(self._kind, self.names, words)
 
@@ -554,11 +578,17 @@ class Solutions(ConfigurationList, Answer):
         return self.mask
 
     def nearest(self, index: int = 0) -> tuple[Array, float, float]:
-        """Return the configuration (nq,) inside the limits closest to a target, and its errors.
+        """Return the configuration inside the limits that is closest to a target, and its errors.
 
-        Errors are in [m] and [rad].
+        Parameters
+        ----------
+        index
+            Number of the target in a batch, counted along all its axes.
 
-        index: number of the target in a batch, counted along all its axes.
+        Returns
+        -------
+        tuple
+            Configuration (nq,), position error in metres, and rotation error in radians.
         """
         if not 0 <= index < len(self._rows):
             raise InputError(

@@ -44,15 +44,22 @@ class SolutionRow(Row):
 class Solution(Answer):
     """Answer of `ik` for targets of a frame: one configuration for each target.
 
-    `q` (..., nq) solves the task where `success`; elsewhere it is the nearest configuration found
-    inside the limits (NaN for targets that are not numbers). `position_error` in metres and
-    `orientation_error` in radians (0 for position targets) are measured by a forward pass;
-    `residual` is the norm of both. `iterations` and `starts` count the work. All have the leading
-    shape of the targets; for a single target they are plain Python numbers.
+    All fields have the leading shape of the targets; for a single target they are plain Python
+    numbers. In a batch, the nearest configurations to targets that are proven out of reach are
+    computed when `q`, an error, `iterations`, `starts` or `status` is first read. `success`, `code`
+    and `proven` need no search.
 
-    In a batch, what is nearest to targets that lengths prove to be out of reach is searched for
-    when `q`, an error, `iterations`, `starts` or `status` is first requested: `success`, `code` and
-    `proven` need no search.
+    Attributes
+    ----------
+    q
+        Configurations (..., nq): solutions where `success`, else the nearest configurations found
+        inside the limits. NaN for targets that are not finite.
+    position_error
+        Distances in metres, by the forward model.
+    orientation_error
+        Rotation angles in radians, by the forward model; 0 for positions.
+    iterations, starts
+        Numbers of steps and of starts.
     """
 
     __repr__ = summarize_fields
@@ -94,10 +101,8 @@ class Solution(Answer):
     def proven(self) -> Any:
         """Mask (...) of targets proven to have no solution.
 
-        Elsewhere a failure only means that no start found one.
-
-        Proofs are lengths, two tasks that contradict each other, and limits outside of which all
-        the answers are.
+        Proofs rest on link lengths, on two contradicting tasks, or on limits that exclude all
+        solutions. Without a proof, a failure means that no start found a solution.
         """
         out = np.array(np.isin(self.code, PROOFS))
         for index in np.argwhere(np.asarray(self.code) == Status.NOT_FOUND):
@@ -105,10 +110,22 @@ class Solution(Answer):
         return unwrap_scalar(out)
 
     def proofs(self, index: tuple[int, ...] | int = ()) -> tuple[Any, ...]:
-        """Return the proofs that one target has no solution, as data; empty without a proof.
+        """Return the proofs that one target has no solution.
 
-        Each is an `Evidence` (`kempe.answers.evidence`), with figures and a `text`.
-        Errors: `InputError` for a place that is not in the batch.
+        Parameters
+        ----------
+        index
+            Place of the target in a batch.
+
+        Returns
+        -------
+        tuple of Evidence
+            Each has figures and a `text` (`kempe.answers.evidence`). Empty without a proof.
+
+        Raises
+        ------
+        InputError
+            For a place outside the batch.
         """
         return self._list_row_proofs(read_batch_index(index, self._batch_shape))
 
@@ -208,12 +225,19 @@ class Solution(Answer):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Reached(Solution):
-    """Answer of `System.ik` for a list of tasks.
+    """Answer of `System.ik` for tasks.
 
-    As `Solution`; `position_error` and `orientation_error` are the largest among the hard tasks.
-    `errors` gives for each task, by its label, how far it is missed (..., 2) in metres and radians.
-    `late` (...) says where the time limit ended the search, or the lowering of soft tasks and
-    preferences.
+    Attributes
+    ----------
+    q, success, iterations, starts
+        As in `Solution`.
+    position_error, orientation_error
+        Largest errors of the hard tasks, in metres and radians.
+    errors
+        Errors (..., 2) in metres and radians by the label of each task.
+    late
+        Mask (...) of the searches that the time limit ended, including those that minimise soft
+        tasks and preferences.
     """
 
     __repr__ = summarize_fields

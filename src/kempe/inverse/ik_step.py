@@ -52,16 +52,26 @@ BESIDE = 1e-12
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class IkStep(Answer):
-    """Result of one step: `q` (nq,), `velocity` (nv,), and the frame's `twist` (6,).
+    """Answer of `ik_step`: velocities, and the configuration after the step.
 
-    `q` is the configuration after the step.
-
-    For tasks, `twist` are the rates (m,) of the equations of the hard ones, in radians and
-    characteristic lengths. `fraction` is the part of the wanted twist in that, 1 where it is had in
-    full; `saturated` names the coordinates that are at a limit of position or velocity,
-    `default_speed` those of them whose limit of velocity is the default one, since neither the
-    system nor the call has one. `blocked_by` names the velocity constraints, such as wheels that do
-    not slip sideways, that prevent the rest of the wanted motion.
+    Attributes
+    ----------
+    q
+        Configuration (nq,) after the step.
+    velocity
+        Velocities (nv,).
+    twist
+        Twist (6,) of the frame; for tasks the rates (m,) of the hard tasks, in radians and
+        characteristic lengths.
+    fraction
+        Achieved part of the wanted twist, from 0 to 1.
+    saturated
+        Names of the coordinates at a limit of position or velocity.
+    default_speed
+        Those of them whose speed limit is the default, since neither the system nor the call has
+        one.
+    blocked_by
+        Names of the velocity constraints that prevent the rest of the motion.
     """
 
     __repr__ = summarize_fields

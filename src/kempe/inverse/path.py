@@ -555,11 +555,20 @@ TRIED = 16
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class IkPath(Configurations):
-    """Configurations `q` (n, nq) that follow n targets; NaN in rows without `success` (n,).
+    """Answer of `ik_path`: configurations that follow a sequence of n targets.
 
-    `jumps` are the targets that are reached, but not continuously from the one before; `status`
-    says where and why the path jumps or stops. It is true where all targets are reached without a
-    jump. Ctrl-C or the time limit leaves what was done (`interrupted`, `late`).
+    The answer is true if all targets are reached without a jump.
+
+    Attributes
+    ----------
+    q
+        Configurations (n, nq); NaN in rows without `success` (n,).
+    jumps
+        Targets that are reached, but not continuously from the target before.
+    status
+        Where and why the path jumps or stops.
+    late, interrupted
+        Whether the time limit or Ctrl-C ended the work; `q` has the finished part.
     """
 
     is_motion = True

@@ -364,14 +364,28 @@ class ClusterMobility:
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Mobility(Report):
-    """Degrees of freedom of a mechanism at a configuration, with the reasoning; ``print`` it.
+    """Degrees of freedom of a mechanism at a configuration; printed, with the reasoning.
 
-    `gruebler` is the Grübler count; `rank_dof` the nullity of the loop equations at `q`,
-    `generic_rank_dof` its minimum at other configurations around; `dof` the true local number: the
-    dimension of the set of closed configurations at `q` (None where it was not requested, or the
-    mechanism cannot be closed). `redundant` constraints depend on others at generic configurations,
-    to first order; `redundant_here` at `q`. `idle` freedoms transmit nothing: `useful` are the
-    others. `singular` says that `q` is a singular point of the configuration space, `kind` which.
+    Attributes
+    ----------
+    gruebler
+        Grübler count.
+    rank_dof, generic_rank_dof
+        Nullity of the loop equations at `q`, and its minimum at other configurations nearby.
+    dof
+        Exact local number: dimension of the set of closed configurations at `q`. None if it was not
+        requested, or if the mechanism cannot be closed.
+    redundant, redundant_here
+        Numbers of constraints that depend on others to first order, at generic configurations and
+        at `q`.
+    idle, useful
+        Numbers of freedoms that transmit nothing, and of all others.
+    singular, kind
+        Whether `q` is a singular point of the configuration space, and of which kind.
+    certain
+        Whether `dof` is proven.
+    late
+        Whether the time limit ended the work.
     """
 
     _has_angles = True
@@ -467,11 +481,11 @@ class Mobility(Report):
     def certain(self) -> bool:
         """Whether `dof` is proven, with values below rounding error taken as exactly zero.
 
-        Either the rank is full, the smallest singular value being above a bound of all rounding and
-        an exactly closed configuration near by (Newton and Kantorovich), or a theorem about
-        singular or overconstrained mechanisms holds, whose hypotheses were checked: see
-        `kempe.mobility.dof_proofs`. Otherwise `dof` is known to an order only. What is true
-        `within` a tolerance only is not proven of the mechanism as given.
+        There are two kinds of proofs. The rank is full: the smallest singular value exceeds a bound
+        of all rounding errors, and an exactly closed configuration is nearby (Newton and
+        Kantorovich). Or a theorem about singular or overconstrained mechanisms holds whose
+        hypotheses were checked; see `kempe.mobility.dof_proofs`. Without a proof, `dof` is known to
+        a finite order. A result `within` a tolerance is not proven for the given mechanism.
         """
         return self.within is None and (self.regular if self.local is None else self.local.certain)
 
@@ -496,10 +510,18 @@ class Mobility(Report):
         return Status.SOLVED if self.closed else Status.NOT_FOUND
 
     def relative(self, body: FrameLike, to: FrameLike) -> RelativeMotion:
-        """Find the motions of one body relative to another at `q`, as "a slide along x".
+        """Find the motions of one body relative to another at `q`, such as "a slide along x".
 
-        See `kempe.mobility.relative_motion`. Errors: `InputError` where the mechanism cannot
-        be closed, `UnknownNameError`, `UnsupportedError` for frames of particles.
+        See `kempe.mobility.relative_motion`.
+
+        Raises
+        ------
+        InputError
+            If the mechanism cannot be closed.
+        UnknownNameError
+            If there is no such body or frame.
+        UnsupportedError
+            For frames of particles.
         """
         from kempe.mobility.relative_motion import find_relative_motion
 

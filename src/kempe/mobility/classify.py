@@ -268,17 +268,29 @@ class ConstraintKind(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Classification(Report):
-    """The kinds of the constraints of a system, each alone and all together; ``print`` it.
+    """Kinds of the constraints of a system, alone and together; printed, with the reasoning.
 
-    `position_dof` is the dimension of the set of closed configurations at `q`, `velocity_dof` that
-    of the velocities that all constraints leave free there. `growth` is their growth vector at `q`:
-    dimensions of what brackets of up to 1, 2, ... of them span; `growth_around` that at
-    configurations drawn at random. `degree` is the length of brackets after which nothing is added
-    (None where it is beyond the limit of work), and `reachable_dimension` the dimension of the set
-    that motions from `q` reach, where `doubtful` at least so many. `kind` says what the constraints
-    of velocity are together.
-    `constraints[name].kind` is "holonomic", "integrable" (of velocity, but positions in disguise),
-    "nonholonomic" or "unilateral". Where `why` says why not, growth and what is reached are None.
+    Attributes
+    ----------
+    constraints
+        ``constraints[name].kind`` is "holonomic", "integrable" (a velocity constraint that is a
+        position constraint in disguise), "nonholonomic" or "unilateral".
+    kind
+        Kind of all velocity constraints together.
+    position_dof
+        Dimension of the set of closed configurations at `q`.
+    velocity_dof
+        Dimension of the velocities that all constraints allow at `q`.
+    growth, growth_around
+        Growth vectors at `q` and at random configurations: dimensions that brackets of length up to
+        1, 2, ... span.
+    degree
+        Length of brackets after which the dimension stays the same; None if it exceeds the limit of
+        work.
+    reachable_dimension
+        Dimension of the set that motions from `q` reach; a lower bound if `doubtful`.
+    why
+        Reason why growth and reachable dimension are None.
     """
 
     _has_angles = True
@@ -565,20 +577,7 @@ def classify(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Classification:
-    """Classify the constraints of a system, and find the dimension that free velocities reach.
-
-    `q` (nq,) or a dict by coordinate name (default: as for `mobility`), `t` the time where
-    constraints depend on it. A `q` that misses what holds positions by more than rounding is
-    refused, or with `project` replaced by the nearest closed one that is found; `moved` says how
-    far that is.
-    `rng` draws letters of brackets and configurations around. Ranks are decided by the size of
-    singular values against an estimate of rounding; `doubtful` says that one is not clearly on
-    either side. Of the `budget` the time_limit (30 s) is read: where it ends the search for growth
-    vectors, `late` is true, growth and what is reached are None, and the freedoms and those
-    constraints that were looked at are known. Errors: `InputError`; `UnsupportedError` for
-    constraints that are no recorded expressions, by name; `TimeLimitError` where the freedoms are
-    not known by then.
-    """
+    """Classify the constraints of a system; see `System.classify`."""
     find_time_limit(USUAL).release_reserved_time()  # there is nothing to do afterwards
     if not is_real(t):
         raise InputError(f"t is {format_value(t)}; it must be one number")

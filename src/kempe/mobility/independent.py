@@ -131,13 +131,19 @@ less is usual."""
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Chart(Report):
-    """Independent coordinates of a system about a closed configuration.
+    """Independent coordinates of a system near a closed configuration.
 
-    `independent` are the names of the p coordinates chosen, `dependent` those of all others,
-    `origin` (nq,) where it was chosen, `quality` its conditioning there, from 0 (useless) to 1.
-    Names `B.ex`, `B.ey`, `B.ez` are those of the rotation vector [rad] that leads the ball B from
-    the origin to where it is, in axes of its child. The last of the independent ones, `idle`, move
-    nothing but bodies that spin idly.
+    Attributes
+    ----------
+    independent, dependent
+        Names of the p chosen coordinates, and of all others. For a ball joint B, `B.ex`, `B.ey` and
+        `B.ez` are the rotation vector [rad] from its orientation at `origin`, in axes of its child.
+    origin
+        Configuration (nq,) at which the coordinates were chosen.
+    quality
+        Conditioning at the origin, from 0 (useless) to 1.
+    idle
+        The last of the independent coordinates that only move idle bodies.
     """
 
     system: Model
@@ -337,14 +343,9 @@ def independent(
     *,
     tolerance: float | str | None = None,
 ) -> Chart:
-    """Choose p independent coordinates at q (nq,), which determine all other coordinates.
+    """Choose independent coordinates at a closed configuration; see `System.independent`.
 
-    Without a wish the best conditioned ones are taken, greedily (QR with column pivoting of the
-    tangent space: Golub, 1965): angles and lengths; where these cannot do, rotation vectors of
-    balls from q on (`B.ex`, `B.ey`, `B.ez`); and those that move idle spins only come last.
-    `prefer` are names of coordinates that must be among them. Default for q: the closed
-    configuration that `assemble` finds. Errors: `InputError` if q is not closed, or if the
-    preferred ones cannot be set independently, with the reason; `UnknownNameError`.
+    Source: QR with column pivoting of the tangent space (Golub, 1965).
     """
     if q is None:
         answer = assemble(system)

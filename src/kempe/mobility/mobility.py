@@ -75,18 +75,7 @@ def mobility(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Mobility:
-    """Find the degrees of freedom of a system by Grübler count, by rank and exactly.
-
-    `q` (nq,) or a dict by coordinate name (default: the posture 'closed', else a closed
-    configuration is searched); where it is not exactly closed the nearest closed configuration is
-    taken, and where there is none only the count is given. `actuated` names joints or coordinates
-    whose control is looked at (default: those marked in the file). `local=False` leaves out the
-    true number, where the rank does not prove it, and is faster. `rng` draws the generic
-    configurations. Of the `budget` the time_limit (30 s) is read: where it ends the search for the
-    true number, `late` is true, `dof` is None, and the count is known, mostly the ranks, too. Where
-    three angles of a ball joint are singular coordinates, it is looked at in others: `rank` and
-    `local` are then about angles measured from there. Errors: `InputError`, `UnknownNameError`.
-    """
+    """Compute the degrees of freedom of a system, with the reasoning; see `System.mobility`."""
     time = find_time_limit(USUAL)
     time.release_reserved_time()  # there is nothing to do afterwards
     shown = system

@@ -625,14 +625,24 @@ class Toggle(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Drive(Motion):
-    """The motion of a mechanism whose inputs were prescribed.
+    """Motion of a mechanism with prescribed inputs.
 
-    `q` (n, nq) are closed configurations, one for each sample of `times` (n,); `inputs` the values
-    requested. Where `held` (n,) the inputs cannot be reached and the last pose stays: see
-    `toggles`. `jumps` are (index, distance) of samples at which the motion is not continuous: it
-    went on from elsewhere than it was held. `singular_points` are the change points passed,
-    straight on. Where the work was `interrupted`, or the time limit came (`late`), these are the
-    samples that were done.
+    Attributes
+    ----------
+    q
+        Closed configurations (n, nq), one for each of the `times` (n,).
+    inputs
+        The prescribed values by coordinate name.
+    held
+        Mask (n,) of samples at which the inputs cannot be reached and the last configuration stays;
+        see `toggles`.
+    jumps
+        Pairs (index, distance) of samples at which the motion is not continuous: it continues at
+        another configuration than the one that was held.
+    singular_points
+        Change points that the motion passed, straight on.
+    late, interrupted
+        Whether the time limit or Ctrl-C ended the work; the finished samples remain.
     """
 
     also = ("times", "inputs", "held", "jumps", "interrupted", "late")
@@ -778,37 +788,7 @@ def drive(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Drive:
-    """Compute the motion that follows prescribed inputs, on the branch of `start`, as a `Drive`.
-
-    `inputs` gives for each driven coordinate its values (n,) in radians or metres, one number, or a
-    function of time, which needs `times` (n,), growing. Samples may be coarse: in between the
-    motion is continued in steps of arc length. `start` is as in `trace` (default: the posture
-    "closed", or what the first inputs give). It goes straight on through change points. `toward`
-    gives rates by coordinate name that choose the branch if the start
-    is a change point; otherwise the branch that moves least. Where the inputs ask for what the
-    mechanism cannot do, or for what is beyond a limit, the last pose is held until they come back.
-    Of the `budget` are read: step (0.1 at most), time_limit (600 s for the whole call),
-    progress(sample, total), called now and then; the time limit leaves the samples that were done,
-    Ctrl-C as the `answer` of an `Interrupted`.
-
-    With velocity constraints, what is not driven rolls along (from the first values of the inputs
-    on), and the motion ends before it slips: `status` says where; `toward` and the step do not
-    count. Equations in time follow `times`.
-
-    Errors: `UnsupportedError` where the inputs leave freedoms or fight each other;
-    `UnknownNameError`; `InputError`.
-
-    >>> from kempe import Mechanism
-    >>> m = Mechanism("parallelogram", dim=2)
-    >>> left, bar, right = m.body("left"), m.body("bar"), m.body("right")
-    >>> _ = m.revolute("A", m.ground, left)
-    >>> _ = m.revolute("B", left, bar, at=(1, 0))
-    >>> _ = m.revolute("C", bar, right, at=(3, 0), child_at=(1, 0))
-    >>> _ = m.revolute("D", m.ground, right, at=(3, 0))
-    >>> motion = drive(m.build(), {"A": [0.0, 2.0, 4.0, 6.0]})
-    >>> motion.values("D").round(9).tolist(), len(motion.singular_points)
-    ([0.0, 2.0, 4.0, 6.0], 1)
-    """
+    """Compute the motion that follows prescribed inputs; see `System.drive`."""
     if not isinstance(inputs, Mapping):
         raise InputError(
             f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name"

@@ -85,11 +85,18 @@ class Piece(NamedTuple):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Manoeuvre(Motion):
-    """A motion from one configuration to another that obeys all velocity constraints.
+    """Motion from one configuration to another that obeys all velocity constraints.
 
-    `q` (n, nq) are configurations at times `t` (n,). `pieces` are the parts with constant speeds;
-    `at` and `velocity` give any time. `slip` is the largest slip of a sample, of rows and speeds of
-    size 1. `success` is false where no way was found: `status` says why, and `q` is the start only.
+    Attributes
+    ----------
+    q, t
+        Configurations (n, nq) at times (n,) in seconds.
+    pieces
+        Parts with constant speeds. `at` and `velocity` give any time.
+    slip
+        Largest slip of a sample, for rows and speeds of size 1.
+    success, status
+        False if no motion was found, and the reason; `q` is then the start only.
     """
 
     also = ("t", "length", "duration", "cusps", "slip")
@@ -413,26 +420,7 @@ def manoeuvre(
     radius: float | None = None,
     budget: Budget | None = None,
 ) -> Manoeuvre:
-    """Find a `Manoeuvre` of a rolling system from one configuration to another.
-
-    Every velocity constraint is obeyed.
-
-    `start` and `goal` are configurations (nq,) or dicts by coordinate name (what is not named is
-    neutral). `radius` [m] is the smallest turning circle of the axle's middle: 0 allows turns on
-    the spot. By default it is 0, or what the limits of the steering allow. Wheels roll along: their
-    angles end where the way brings them, whatever the goal says. With a radius the axle takes the
-    shortest way of Reeds and Shepp (1990), and the heading may end whole turns from the goal's
-    number; without one it ends at that number. The axle goes at 1 m/s and turns at 1 rad/s at most,
-    or slower by the velocity limits of the system. `q` has about as many configurations as the
-    `budget` has points (200), the ends of all pieces among them; its time_limit (30 s) ends the
-    search, see `late`.
-
-    It is known for a body that moves in a plane by two slides and a turn, with an axle that does
-    not slip sideways (knife edge, unicycle, coin that stands upright, differential drive, car with
-    one steering angle), wherever that is on the body; other coordinates may be idle, steer, or
-    follow. All else is refused with the reason. Errors: `UnsupportedError`; `InputError`;
-    `UnknownNameError`.
-    """
+    """Find a motion of a rolling system between two configurations; see `System.manoeuvre`."""
     q = _read_configuration(system, start, "start")
     end = _read_configuration(system, goal, "goal")
     if radius is not None and (not is_real(radius) or not 0.0 <= radius < math.inf):

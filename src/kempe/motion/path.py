@@ -96,15 +96,22 @@ EVENTS = 24
 
 @dataclass(frozen=True, eq=False)
 class Event(InWords):
-    """A special point of a path: the configuration `q` (nq,) at arc length `s`, and its kind.
+    """Special point of a path.
 
-    `kind` is "fold of the driver" (it turns back here: a dead point), "extreme" (another coordinate
-    turns back), "bifurcation" (several branches meet), "cusp" (the motion comes to rest and goes
-    back beside the way it came) or "singular" (the rank drops, no branch leaves). `coordinate` and
-    `value`
-    say what turns back and where, in radians or metres. `directions` (k, nv) are velocities along
-    the branches found at a singular point, that of the path first; `nullity` counts the independent
-    first-order motions there.
+    Attributes
+    ----------
+    q, s
+        Configuration (nq,), and its arc length on the path.
+    kind
+        "fold of the driver" (the driver turns back: a dead point), "extreme" (another coordinate
+        turns back), "bifurcation" (several branches meet), "cusp" (the motion comes to rest and
+        returns beside its way) or "singular" (the rank drops, and no branch leaves).
+    coordinate, value
+        Coordinate that turns back, and its value in radians or metres.
+    directions
+        Velocities (k, nv) along the branches at a singular point; the first is along the path.
+    nullity
+        Number of independent first-order motions.
     """
 
     q: Array
@@ -185,16 +192,26 @@ class Track:
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Path(Motion):
-    """A curve of closed configurations of a mechanism with one degree of freedom.
+    """Curve of closed configurations of a mechanism with one degree of freedom.
 
-    `q` (n, nq) are configurations in their order, in radians and metres; angles are not wrapped.
-    `s` (n,) is the arc length: angles in radians, slides in characteristic lengths (`unit_length`,
-    metres). `closed` tells whether the last point is the first one again (angles without limits up
-    to whole turns), `ends` why it stops at its first and last point. `success` is false where no
-    configuration closes the loops or the work was broken off, because it was `interrupted` from the
-    keyboard or the time limit came (`late`): then the path is the part that was done, and `remark`
-    says what else is missing. `others` are the branches that `trace(..., switch=True)` found at
-    bifurcations.
+    Attributes
+    ----------
+    q
+        Configurations (n, nq) in their order, in radians and metres. Angles are not wrapped.
+    s
+        Arc length (n,): angles in radians, slides in units of `unit_length` (metres).
+    closed
+        Whether the last point is the first one again, up to whole turns of angles without limits.
+    ends
+        Reasons why the path stops at its first and last point.
+    turning_points, singular_points, extremes
+        Special points, each an `Event`.
+    success
+        False if no configuration closes the loops, or if the work was ended early.
+    late, interrupted
+        Whether the time limit or Ctrl-C ended the work; `remark` says what else is missing.
+    others
+        Branches that ``trace(..., ways="branches")`` found at bifurcations.
     """
 
     also = (
@@ -265,11 +282,22 @@ class Path(Motion):
         return f"Path({self.system.name!r}, {what})"
 
     def at(self, s: ArrayLike) -> Array:
-        """Return the exactly closed configurations (..., nq) at arc lengths `s` (...).
+        """Return the exactly closed configurations at arc lengths.
 
-        A closed path goes on around.
+        Parameters
+        ----------
+        s
+            Arc lengths (...). A closed path continues around.
 
-        Errors: `InputError` for arc lengths beyond the ends of a path that is not closed.
+        Returns
+        -------
+        Array
+            Configurations (..., nq).
+
+        Raises
+        ------
+        InputError
+            For arc lengths beyond the ends of a path that is not closed.
         """
         s = numbers(s, "s")
         if not np.isfinite(s).all():
@@ -293,9 +321,24 @@ class Path(Motion):
     def resample(self, n: int, *, budget: Budget | None = None) -> Path:
         """Return the path with `n` points at equal distances of arc length, its ends included.
 
-        Of the `budget` are read: time_limit (120 s), progress(points, length), called now and then;
-        the time limit, or Ctrl-C, leaves those points that were done, see `late`, `remark` and
-        `kempe.Interrupted`. Errors: `InputError`.
+        Parameters
+        ----------
+        n
+            Number of points.
+        budget
+            Reads time_limit (120 s) and progress(points, length).
+
+        Returns
+        -------
+        Path
+            After the time limit it has the finished points; see `late` and `remark`.
+
+        Raises
+        ------
+        InputError
+            For a wrong number.
+        Interrupted
+            After Ctrl-C, with the finished points as its `answer`.
         """
         spend = USUAL.complete_budget(budget)
         if not is_whole(n) or not 2 <= n <= MOST:

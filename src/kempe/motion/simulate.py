@@ -432,11 +432,20 @@ class Bounce(InWords):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Simulation(Motion):
-    """A motion in time: configurations `q` (n, nq), velocities `v` (n, nv) at times `t` (n,) [s].
+    """Motion in time.
 
-    `events` are bounces. `success` is false where the motion ends before its time, `status` says
-    why. `slip` is the largest slip of a sample, of rows and speeds of size 1. Where the work was
-    `interrupted`, or the time limit came (`late`), these are the samples that were done.
+    Attributes
+    ----------
+    t, q, v
+        Times (n,) in seconds, configurations (n, nq) and velocities (n, nv).
+    events
+        Bounces.
+    success, status
+        False if the motion ends before its time, and the reason.
+    slip
+        Largest slip of a sample, for rows and speeds of size 1.
+    late, interrupted
+        Whether the time limit or Ctrl-C ended the work; the finished samples remain.
     """
 
     also = ("t", "v", "slip", "interrupted", "late")
@@ -543,30 +552,7 @@ def simulate(
     tolerance: float | None = None,
     budget: Budget | None = None,
 ) -> Simulation:
-    """Simulate a system for a `duration` [s] from a start; return a `Simulation`.
-
-    With `inputs`: velocities by name, numbers or functions of time [s]. A name is a velocity
-    coordinate, or a twist of a frame in its own axes: "car.vx" [m/s], "car.wz" [rad/s]. All others
-    follow from the velocity constraints and the closed loops, and are integrated with the local
-    error `tolerance` (1e-11); position constraints are met at each sample to rounding. It ends
-    where a coordinate meets its limit, or the inputs cannot be had.
-
-    Without `inputs`: one ball or particle that falls from `start` with a `velocity` (nv,) (default:
-    at rest) by a uniform `acceleration` (3,) [m/s^2] (default: 9.81 down z, in the plane down y),
-    and bounces on what keeps it on one side of a plane: contacts, other inequalities, limits of its
-    slides. Smooth planes: the normal speed is reversed times `restitution`, from 0 to 1. The answer
-    is exact (times in closed form), and goes on after the infinitely many bounces that end at t1 +
-    2 v / (a (1 - e)), v the speed after the impact at t1. What would need masses is refused.
-
-    The time is 0 at the start. Equations and inequalities in time hold at every time. Planes may
-    move: an impact reverses the rate of the gap, and a body that rests on a plane moves with it as
-    long as the plane pushes. With planes that move, times of impacts are found numerically, from
-    the gaps at 1024 places of the duration.
-
-    Of the `budget` are read: points (200) and time_limit (600 s). `t` are so many evenly spread
-    times, and those of all events. Errors: `UnsupportedError` with the reason; `InputError`, also
-    for a start inside a plane, with the distance; `UnknownNameError`.
-    """
+    """Simulate a system for a `duration` [s] from a start; see `System.simulate`."""
     if not is_real(duration) or not 0.0 < duration < math.inf:
         raise InputError(
             f"duration is {duration!r}; it must be a time in seconds, positive and finite"

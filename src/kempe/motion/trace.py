@@ -296,38 +296,7 @@ def trace(
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Path:
-    """Trace the motion of a mechanism with one degree of freedom: its whole branch through `start`.
-
-    `start` is a configuration (nq,), the name of a posture, or known coordinates by name (default:
-    the posture "closed", else mid-range); it is closed first. `driver` is the coordinate that
-    counts as the input: the path begins with it growing, and points where it turns back are its
-    dead points. `hold` fixes other coordinates at values. `toward` gives rates by coordinate name
-    that choose the sense, and the branch where the start is a bifurcation. The path goes straight
-    on through points where branches cross or touch, and back beside itself at a cusp; where
-    branches touch to third order, or more than two do, a path that does not start there may end, or
-    change from one to another. `ways`: "both" directions from the start, "forward" only, or
-    "branches": both, and the branches met at bifurcations, too, see `Path.others`. The path ends
-    where it closes on itself, at a limit (unless `limits=False`), where it is found to have no end
-    (a slide that runs away, gears whose ratio lets it never close), or where the budget ends. Of
-    the `budget` are read: points (100 000 at most), step (of arc length, 0.1 at most), time_limit
-    (120 s for the whole call), progress(points, length), called now and then. The time limit
-    returns what was done, and says so by `Path.late`; Ctrl-C raises `Interrupted`, whose `answer`
-    is what was done.
-
-    Errors: `UnsupportedError` where more than one freedom remains, naming it; `UnknownNameError`;
-    `InputError`.
-
-    >>> from kempe import Mechanism
-    >>> m = Mechanism("slider-crank", dim=2)
-    >>> crank, rod, slider = m.body("crank"), m.body("rod"), m.body("slider")
-    >>> _ = m.revolute("A", m.ground, crank)
-    >>> _ = m.revolute("B", crank, rod, at=(1, 0))
-    >>> _ = m.revolute("C", rod, slider, at=(2, 0))
-    >>> _ = m.prismatic("S", m.ground, slider, axis=(1, 0))
-    >>> path = trace(m.build(), "S", {"A": 0.5})
-    >>> path.closed, [round(e.value, 9) for e in path.turning_points]
-    (True, [3.0, 1.0])
-    """
+    """Trace the branch of a mechanism with one degree of freedom; see `System.trace`."""
     options = _read_options(system, driver, ways, limits, USUAL.complete_budget(budget))
     held = dict(hold or {})
     equations, q = begin_motion(system, start, held)

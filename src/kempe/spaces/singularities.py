@@ -131,11 +131,17 @@ FULL_TURN = 2.0 * np.pi
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Singularities(Report, Tabular):
-    """The singular configurations of a frame of `system`, in `sets` of the same type.
+    """Singular configurations of a frame, in sets of the same type.
 
-    They were found from so many `starts`; that a set is not among them is no proof that it does not
-    exist. Where the search was `broken` off, by the time limit or an interrupt, these are the
-    starts that were done.
+    Attributes
+    ----------
+    sets
+        The sets found. A set that is missing may exist.
+    starts
+        Number of random starts.
+    broken
+        Reason if the time limit or an interrupt ended the search; the sets are then those of the
+        finished starts.
     """
 
     __repr__ = summarize_fields

@@ -98,13 +98,23 @@ SOME = 8
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class TaskSpace(Report):
-    """The task space of `m` constraints over a configuration space of dimension `n`.
+    """Task space of `m` constraints over a configuration space of dimension `n`.
 
-    `rank` is the number of directions in which the task can be moved at `q` (nq,), `generic_rank`
-    the largest that was found at random configurations: the dimension of the image, of which the
-    rank can only be a lower bound. The system is redundant for the task by `redundancy` freedoms.
-    `image` has, for a frame, the least and largest coordinates [m] of its origin at the random
-    configurations, by axis: what is reached is at least as wide.
+    Attributes
+    ----------
+    rank
+        Number of directions in which the task can move at `q` (nq,).
+    generic_rank
+        Largest rank at random configurations: the dimension of the image.
+    redundancy
+        Number of freedoms that the task leaves.
+    image
+        Least and largest coordinates [m] of a frame's origin at random configurations, by axis. The
+        reached set is at least as wide.
+    samples
+        Number of configurations that were examined.
+    late
+        Whether the time limit ended the work.
     """
 
     __repr__ = summarize_fields

@@ -75,14 +75,7 @@ def animate(
     seconds: float = 4.0,
     fps: float = 15.0,
 ) -> Path:
-    """Write a motion as an animation; the extension of the file name selects the format.
-
-    `path`: an answer with a motion or several configurations, or configurations (n, nq), passed at
-    equal times in `seconds`, `fps` pictures each second; without loops it is interpolated between
-    few. `frames` are those whose curves are drawn, `labels` as for `System.plot`.
-    Errors: `InputError` for shapes and endings (.gif, .mp4, .html), `UnsupportedError` for .mp4
-    without the program ffmpeg.
-    """
+    """Write a motion as an animation; see `System.animate`."""
     if not seconds > 0.0 or not 0.0 < fps <= 60.0:
         raise InputError(
             f"seconds is {format_value(seconds)} and fps {format_value(fps)}; both must be "

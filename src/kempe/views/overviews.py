@@ -93,12 +93,7 @@ def _place_bodies(system: Model) -> np.ndarray:
 
 @explain_errors
 def plot_tree(system: Model, ax: Axes | None = None) -> Axes:
-    """Draw the spanning tree: bodies as circles by depth, joints as lines with their letters.
-
-    Joints that close loops, which the tree leaves out, are dashed red lines. Letters: R revolute, P
-    prismatic, H helical, C cylindrical, U universal, E planar, T translation, S spherical, F free;
-    products have those of their factors.
-    """
+    """Draw the spanning tree of a system; see `System.plot_tree`."""
     from kempe.views.drawing import page, style
     from kempe.views.drawing.labels import shorten_label
 

@@ -58,21 +58,7 @@ of the drawing."""
 @explain_errors
 @add_signature_options(PlotOptions)
 def plot(system: Model, q: Any = None, *, path: Any = None, **options: Any) -> Any:
-    """Draw a system on matplotlib axes; ``.figure.savefig("name.png")`` or ``.svg`` writes it.
-
-    `q`: a configuration (nq,), a dict, the name of a posture; several (k, nq), or an answer that
-    has them (`Solution`, `Solutions`, `Modes`, ...; a target that it misses is shown with its
-    distance), which are drawn one over the other with their names, or `side_by_side` (then a tuple
-    of axes comes back); or a motion, as `path`. Without it: the posture 'closed' if there is one,
-    else `mid`, brought to where loops are closed and constraints hold if that can be; with a `path`
-    its configuration nearest to home. `path`: configurations (n, nq), or an answer that has them as
-    `.q`; the curves of the named `frames` are drawn over it (without names: those of the path's
-    `.frames`, else all named frames of moving bodies), and `ghosts` earlier positions, evenly
-    spread. Driven joints (`actuated`, or the path's `.driver`) are marked, and loops that are not
-    closed are shown in red. All `options` are those of `kempe.views.plot_options.PlotOptions`.
-    Errors: `InputError` for shapes and values, `UnknownNameError` for frames, `UnsupportedError`
-    for a workspace that is not drawn, `CallError` for unknown options.
-    """
+    """Draw a system on Matplotlib axes; see `System.plot`."""
     chosen = PlotOptions(**options)
     if not isinstance(chosen.angles, bool):
         name = system.structure.frame_name(chosen.angles)

@@ -72,35 +72,7 @@ def plot_spaces(
     resolution: int = 240,
     budget: Budget | None = None,
 ) -> tuple[Axes, Axes]:
-    """Draw the configuration space and a frame's task space, of a system with two freedoms.
-
-    Limits are a rectangle on the left, and their image on the right (solid; the edges of a full
-    turn, which are one line, are dotted). Red lines are singular: there the frame's velocity has
-    lost a direction. Shades say how many configurations within the limits reach the place. `task`
-    says which two numbers of the frame the places are: "xy", "xz" or "yz", its position along two
-    axes of the ground [m], or "direction", the azimuth and elevation of its z axis [rad]. `points`
-    (k, 2) are places that the frame shall reach: their solutions are marked on both sides, or,
-    where there is none, the nearest place found, with the distance. `q` is drawn on both sides: a
-    configuration (nq,) as a dot with its arm; a line of them (n, nq), or an answer with such `q`,
-    as of `trace`, `ik_path` and `self_motion`, as a line with a ring where it begins; or a list of
-    such. `grid` draws lines on which one coordinate is constant, and their images. `ax` is a pair
-    of axes to draw on; `resolution` the number of places along each axis (8 to 1000).
-
-    With closed loops the left has the two actuated coordinates, or others that place the mechanism,
-    and shades there count the assembly modes at these values; what spins idly does not count. Right
-    are all modes. Singular lines are those that `singularities` finds: of type 1, where the frame
-    has lost a direction, and, dashed, of type 2, where it moves though both coordinates are held
-    and where modes meet. Limits of other coordinates are lines, too. Numbers are those of closed
-    forms where there are such (planar chains and dyads); else each configuration that is found is
-    followed from place to place, and more may exist. Of the `budget` are read: time_limit (120 s)
-    and progress(places, all), for each of the two sides; after the limit the picture shows what was
-    done, and says so; Ctrl-C raises `Interrupted`, whose `answer` are the axes with what was done.
-    Errors: `UnsupportedError` for other numbers of freedoms, and frames that the task sees on a
-    curve only; `InputError`; `UnknownNameError`.
-
-    ``system.plot_spaces("e", points=[(0.6, 0.3)])[0].figure.savefig("spaces.png")`` writes the
-    picture.
-    """
+    """Draw the configuration space and a frame's task space; see `System.plot_spaces`."""
     name = system.structure.frame_name(frame)
     seen = find_flat_task(task, system.dim)
     spend = USUAL.complete_budget(budget)

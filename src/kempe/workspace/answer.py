@@ -313,15 +313,22 @@ LOOKED = 64
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Workspace(Report):
-    """The places that a frame reaches, as counts of random samples in the cells of a box.
+    """Places that a frame reaches, as counts of random samples in the cells of a box.
 
-    A cell with a count above zero holds a point that is reached: no more is proven by the `map`,
-    which so is a lower bound. An empty cell may hold points that are reached, too. `samples` were
-    drawn, of the `requested` ones; `outside` of them fell outside the box, `left_out` could not be
-    closed or violated a constraint, or were places that are not reached. Where the work was
-    `interrupted`, or the time limit came (`late`), the map holds what was done. Of the kind
-    "orientation" points are orientations, and what is measured is their angle, in space the volume
-    of rotations, of which there are 8 pi^2.
+    A cell with a sample contains a reached point, so the `map` is a lower bound. An empty cell may
+    contain reached points, too. For the kind "orientation", points are orientations, and the
+    measure is their angle, in space the volume of rotations (8 pi^2 in all).
+
+    Attributes
+    ----------
+    requested, samples
+        Numbers of requested and of drawn samples.
+    outside
+        Number of samples outside the box.
+    left_out
+        Number of samples that could not be closed, violated a constraint, or are not reached.
+    late, interrupted
+        Whether the time limit or Ctrl-C ended the work; the map has the finished samples.
     """
 
     _pictured = True
@@ -396,11 +403,10 @@ class Workspace(Report):
     def exact(self) -> PlanarWorkspace | SweptSolid | None:
         """Workspace with its exact boundary, or None if the boundary is unknown.
 
-        For planar systems, `exact` is the workspace of `System.reach.planar`.
-
-        In space it is known of chains that move the frame in a plane, which a slide moves across
-        itself, or which a first joint without limits turns about an axis in it. It is not used
-        where it is not inside the box.
+        For planar systems it is the workspace of `System.reach.planar`. In space it is known for
+        chains that move the frame in a plane, if a slide moves this plane across itself, or if a
+        first joint without limits turns it about an axis in the plane. It is not used where it
+        exceeds the box.
         """
         found = self._compute_exact()
         grid = self.map.grid
@@ -426,11 +432,10 @@ class Workspace(Report):
 
     @cached_property
     def dimension(self) -> int:
-        """The dimension of the reached set: 1 for a curve, 2 for a surface, else that of the box.
+        """Dimension of the reached set: 1 for a curve, 2 for a surface, else that of the box.
 
-        It is the rank of the frame's velocities at up to `LOOKED` random configurations; where none
-        was closed, and where not all places count that are reached in any way, it is that of the
-        box.
+        It is the rank of the frame's velocities at up to `LOOKED` random configurations. It is that
+        of the box if no configuration was closed, and for kinds other than "reachable".
         """
         most = len(self.map.grid.axes)
         q, good = sample_closed_configurations(self.system, self.seed, 0, LOOKED)
@@ -449,22 +454,22 @@ class Workspace(Report):
 
     @cached_property
     def measure(self) -> tuple[float, float]:
-        """Length, area or volume [m, m^2, m^3] of the reached part of the box, with the error.
+        """Length, area or volume [m, m^2, m^3] of the reached part of the box, with its error.
 
-        It is the `estimate`, or where the workspace is known exactly its area or volume, and an
-        error that is rounding. Of a planar platform, whose points are decided exactly, the area is
-        sampled; the error is two standard errors.
+        It is the `estimate`. For an exactly known workspace it is the area or volume, with an error
+        from rounding. For a planar platform, whose points are decided exactly, the area is sampled
+        and the error is two standard errors.
         """
         return self.estimate if self.exact is None else self.exact.measure
 
     @cached_property
     def estimate(self) -> tuple[float, float]:
-        """The measure estimated from samples, with two standard errors.
+        """Measure of the workspace estimated from samples, with two standard errors.
 
-        The inverse model decides random points, more of them where the map changes. What it does
-        not find counts as not reached, so that but for chance the value is too small rather than
-        too large. Cells that lengths and limits prove not to be reached are left out; where these
-        are all, the error is 0, and so it is of what is `thin`.
+        Inverse kinematics decides random points, more of them where the map changes. Points without
+        a solution found count as not reached, so apart from chance the value is too small rather
+        than too large. Cells that lengths and limits prove unreachable are left out. The error is 0
+        if these are all cells, and for a workspace that is `thin`.
         """
         if self.thin:
             return 0.0, 0.0
@@ -491,11 +496,11 @@ class Workspace(Report):
 
     @cached_property
     def bounds(self) -> tuple[float, float]:
-        """A lower and an upper bound of the measure in the box.
+        """Lower and upper bound of the measure in the box.
 
-        The lower one is the value less its error: each point that it counts is reached, so that
-        only chance, which points were drawn, makes it too large (in one of 40 cases). The upper one
-        is proven, by lengths and limits; of an exact workspace both are the value and its error.
+        The lower bound is the value less its error: every counted point is reached, so only the
+        random choice of points can make it too large (in one of 40 cases). The upper bound is
+        proven by lengths and limits. For an exact workspace the bounds are the value and its error.
         """
         value, error = self.measure
         if self.exact is not None or self.thin:
@@ -529,15 +534,26 @@ class Workspace(Report):
     # ---- single points
 
     def contains(self, points: ArrayLike, check: bool = False) -> np.ndarray:
-        """Return a mask (...) of the points (..., d) [m] in the ground frame that are reached.
+        """Determine which points are reached.
 
-        The number d is 2 or 3.
+        Parameters
+        ----------
+        points
+            Points (..., d) in the ground frame in metres, d = 2 or 3. For the kind "orientation",
+            rotations (..., 3, 3), in the plane also angles (...).
+        check
+            Decide all points by inverse kinematics.
 
-        The `exact` workspace decides where there is one, unless `check` is True. Else the map does
-        in a cell that has samples, as all cells around it have: that is no proof for each point of
-        it. All others, and with `check` all, are decided by the inverse model, which finds a
-        configuration or not. Of the kind "orientation" points are rotations (..., 3, 3), in the
-        plane also angles (...).
+        Returns
+        -------
+        Array
+            Mask (...) of the reached points.
+
+        Notes
+        -----
+        The `exact` workspace decides where it is known. Otherwise the map decides in a cell with
+        samples that is surrounded by such cells, which proves nothing for a single point. Inverse
+        kinematics decides all other points.
         """
         flat, lead = self._read_points(points)
         if self.exact is not None and not check:
@@ -553,13 +569,29 @@ class Workspace(Report):
         return found.reshape(lead)
 
     def distance(self, points: ArrayLike) -> Array:
-        """Compute the distances (...) [m] of points (..., d) from the boundary, negative outside.
-        The boundary is the `exact` one, or that of the map.
+        """Compute the distances of points from the boundary of the workspace.
 
-        Which points are inside says `contains`. Of the map the distance is that of the nearest cell
-        that is not reached, outside of the nearest that is, so it may be off by half the diagonal
-        of a cell (`resolution`), and outside by what the samples missed; inside, the inverse model
-        decides cells without samples. Errors: `UnsupportedError` for orientations.
+        Parameters
+        ----------
+        points
+            Points (..., d) in the ground frame in metres.
+
+        Returns
+        -------
+        Array
+            Distances (...) in metres, negative outside.
+
+        Raises
+        ------
+        UnsupportedError
+            For workspaces of orientations.
+
+        Notes
+        -----
+        The boundary is the `exact` one, or that of the map. With a map, the distance inside is that
+        to the nearest cell that is not reached, and outside that to the nearest reached cell. It
+        may differ by half the diagonal of a cell (`resolution`), and outside also by what the
+        samples missed. Inside, inverse kinematics decides cells without samples.
         """
         if self.kind == ORIENTATION:
             raise UnsupportedError("distances are those of places, not of orientations")
@@ -595,10 +627,10 @@ class Workspace(Report):
 
     @cached_property
     def boundary(self) -> Any:
-        """The boundary of the cells with samples, in metres.
+        """Boundary of the cells with samples, in metres.
 
-        In the plane a list of closed lines (k, 2), in space a surface as corners (k, 3) and
-        triangles (m, 3) by number (marching cubes), on a line the ends. Errors: `MissingExtraError`
+        In the plane it is a list of closed lines (k, 2); in space a surface as corners (k, 3) and
+        triangles (m, 3) of their numbers (marching cubes); on a line the ends. `MissingExtraError`
         without the extra [scale].
         """
         return find_cell_boundary(self.map)

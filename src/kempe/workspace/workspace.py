@@ -63,39 +63,7 @@ def workspace(
     path: str | Path | None = None,
     budget: Budget | None = None,
 ) -> Workspace:
-    """Sample the places that a frame reaches, by `n` random samples within limits and constraints.
-
-    The `kind` says which places: "reachable", in some orientation (the default);
-    "constant-orientation", in one `orientation`; "dexterous", in several, by default 180 angles of
-    the plane or 256 rotations in space that are spread evenly; or it is "orientation": the
-    orientations in which the frame's origin is reached `at` a place (d,) [m]. Orientations are
-    angles in the plane, and rotations (..., 3, 3), or roll, pitch and yaw (3,), in space.
-
-    Samples of a reachable workspace are configurations: coordinates are uniform within their
-    limits, angles without limits in a full turn, quaternions uniform. Of a system with loops random
-    ones are brought to where all loops are closed, and what violates a declared constraint is left
-    out; that is a thousand times slower (n is 1e7, with loops 1e5). Samples of the other kinds, and
-    where slides have no limits and a box is given, are random places (or orientations), as many in
-    each cell, by default one: the inverse model decides whether they are reached.
-
-    They are counted in `cells` (a number along the longest edge, or one for each axis) of a `box`
-    (d, 2) [m]; without one, of the box of the first positions, a tenth wider. Memory does not
-    depend on n.
-
-    Samples are a function of the seed (the `rng` of the `budget`, 0) and their number, so the same
-    map comes of any number of threads or workers. With a `client`, a `distributed.Client` or the
-    address of a scheduler, the workers of a Dask cluster do the work. With a `path`, the map is
-    written there as it grows: the same call goes on after any interruption, and with a larger `n`
-    adds to a map that is there.
-
-    Of the `budget` are read: rng, threads, time_limit (none), progress(samples, n). The time limit
-    returns what was done, Ctrl-C raises it as the `answer` of an `Interrupted`.
-
-    Errors: `InputError` for a frame that does not move, slides without limits
-    where no box is given, and what belongs to another map; `KernelsError` for a map of other
-    kernels; `DiskError`; `UnknownNameError`; `MissingExtraError` without the extra [scale], for
-    `client` and `path`.
-    """
+    """Sample the workspace of a frame as a map; see `System.workspace`."""
     name = system.structure.frame_name(frame)
     spend = USUAL.complete_budget(budget)
     clock = TimeLimit(spend.time_limit)

@@ -728,19 +728,7 @@ def show(
     browser: bool = True,
     deg: bool = False,
 ) -> Viewer:
-    """Show the system on a page in the browser, and return the `Viewer`.
-
-    The page has the address `url`, on this machine only; the mouse moves the system.
-
-    `q` (nq,) or dict: the configuration, by default as for `plot`; loops that are open there are
-    closed from it. `frame`: the one that the gizmo drags (default: the last one declared). `path`:
-    configurations (n, nq), or an answer that has them as `.q`, to play. Each page that is opened
-    has a configuration of its own, with `share` all have one. `port`: that of the page, by default
-    8080 or the next that is free. `browser`: open one. `deg`: pages begin with angles in degrees; a
-    switch on the page changes that. The page is there until `close`, the end of a ``with``, or the
-    end of Python. A `UserWarning` names the meshes that are not drawn. Errors: `InputError` for
-    shapes and a port that is in use; `UnknownNameError` for a frame.
-    """
+    """Show the system on a page in the browser, and return its `Viewer`; see `System.show`."""
     opened = read_flag(browser, "browser")
     viewer = serve_viewer(system, q, frame, path, share, port, deg)
     if said := viewer.drawn.lost_sentence:

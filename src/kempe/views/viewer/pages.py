@@ -33,13 +33,7 @@ NOTE = (
 def save_html(
     system: Model, file: Any, q: Any = None, *, path: Any = None, seconds: float = 6.0
 ) -> None:
-    """Write an HTML file with the system in space, to be viewed offline and rotated by mouse.
-
-    `q` (nq,) or dict: the configuration, by default as for `plot`. `path`: configurations (n, nq),
-    or an answer that has them as `.q`, played over and over in `seconds`. Sliders and targets need
-    the live page: `System.show`. A `UserWarning` names the meshes that are not drawn. Errors:
-    `InputError` for shapes, an ending that is not .html, and a folder that does not exist.
-    """
+    """Write an HTML file with the system in space; see `System.save_html`."""
     if said := write_page(system, file, q, path, seconds).lost_sentence:
         warn(said, UserWarning)
 
