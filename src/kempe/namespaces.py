@@ -164,9 +164,31 @@ class Inverse(Namespace):
         task: str | tuple[str, ArrayLike] | None = None,
         fixed: Iterable[str] = (),
     ) -> Recognised:
-        """Return the structure of a frame's chain and the closed form by which `ik_all` solves it.
+        """Describe the structure of a frame's chain, and the method by which `ik_all` solves it.
 
-        See `kempe.inverse.describe`.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        task
+            Part of the target that counts, as in `System.ik_all`. Default: the pose, or the
+            position if the chain has no more joints than a position has equations.
+        fixed
+            Names of joints that are held.
+
+        Returns
+        -------
+        Recognised
+            The structure, the method, and the largest number of solutions, for example ``.most``.
+
+        Raises
+        ------
+        UnsupportedError
+            For chains with loops, quaternions or shared coordinates.
+        InputError
+            For wrong values.
+        UnknownNameError
+            If there is no such frame, task or joint.
         """
         from kempe.inverse.describe import describe_plan
 
@@ -185,9 +207,44 @@ class Inverse(Namespace):
         fixed: Mapping[str, Any] | None = None,
         budget: Budget | None = None,
     ) -> Sweep:
-        """Solve the inverse kinematics of a redundant chain along one parameter.
+        """Solve the inverse kinematics of a redundant chain for one target along one parameter.
 
-        See `kempe.inverse.sweep.ik_sweep`.
+        Parameters
+        ----------
+        target, frame, task
+            Target, as in `System.ik_all`.
+        parameter
+            Name of a joint, or "arm_angle" for seven revolute joints whose first three axes and
+            last three axes meet in points (see `arm_angle`); the pair ("arm_angle", reference) sets
+            its reference direction. Default: the arm angle if it exists, else the joint that
+            `ik_all` holds.
+        n
+            Number of samples of the parameter.
+        start
+            Configuration (nq,) with the values of further spare joints; it also chooses among
+            turns. Default: where `ik_all` finds a solution inside the limits.
+        fixed
+            Values of further spare joints by name.
+        budget
+            Reads points (256, values of a joint at which curves are searched) and time_limit (30
+            s).
+
+        Returns
+        -------
+        Sweep
+            Branches with the intervals of the parameter in which they are inside the limits. If the
+            time limit ends the work, `late` is true and these are the branches found.
+
+        Raises
+        ------
+        UnsupportedError
+            For chains without a spare freedom, or without an arm angle if it is requested.
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such frame or joint.
+        TimeLimitError
+            If no branch could be examined within the time limit.
         """
         from kempe.inverse.sweep import ik_sweep
 
@@ -213,20 +270,67 @@ class Inverse(Namespace):
         direction: Any = None,
         budget: Budget | None = None,
     ) -> SelfMotion:
-        """Trace the motion from q that keeps a frame's pose or other tasks.
+        """Trace the motion from a configuration that keeps a frame's pose or other tasks.
 
-        See `kempe.inverse.self_motion`.
+        Parameters
+        ----------
+        q
+            Configuration (nq,) that satisfies the tasks.
+        tasks
+            Name of a frame, or hard tasks of `kempe.tasks`.
+        task
+            Part of the frame's pose that is kept, as in `System.ik`.
+        direction
+            Name of a coordinate, or a velocity (nv,), that chooses a curve if the tasks leave more
+            than one freedom. It is projected onto the velocities that keep the tasks.
+        budget
+            Reads points (200 in each direction), step (0.05, in radians and characteristic
+            lengths), time_limit (120 s) and progress.
+
+        Returns
+        -------
+        SelfMotion
+            Configurations `q` (n, nq). They satisfy the tasks to 1e-9. The curve is traced in both
+            directions until it closes or meets a limit. Where the Jacobian loses rank and no motion
+            is found, it is `q` alone.
+
+        Raises
+        ------
+        InputError
+            If the tasks are not satisfied at `q`, leave no freedom to first order, or leave more
+            than one without a direction.
+        UnsupportedError
+            If velocity constraints do not allow the motion.
         """
         from kempe.inverse.self_motion import self_motion
 
         return self_motion(self.system, q, tasks, task=task, direction=direction, budget=budget)
 
     def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
-        """Compute the arm angle (...) in radians at q (..., nq).
+        """Compute the arm angle of an arm with seven joints, a spherical shoulder and wrist.
 
-        The arm has seven joints with spherical shoulder and wrist.
+        `kempe.inverse.arm_angle` defines the angle.
 
-        See `kempe.inverse.arm_angle`.
+        Parameters
+        ----------
+        q
+            Configurations (..., nq).
+        frame
+            Name of the body or frame at the end of the arm.
+        reference
+            Direction (3,) in ground axes (default: the axis of the first joint).
+
+        Returns
+        -------
+        float or Array
+            Angles (...) in radians, in (-pi, pi].
+
+        Raises
+        ------
+        UnsupportedError
+            For other chains.
+        InputError
+            For wrong shapes.
         """
         from kempe.inverse.arm_angle import compute_arm_angle
 
@@ -245,9 +349,19 @@ class Loops(Namespace):
         return list_constraints(self.system)
 
     def closure_error(self, q: Any) -> Array:
-        """Compute the gaps (..., number of closures, 6) of all loops as twists [m; rad].
+        """Compute the gaps of all loops that cut joints close.
 
-        Each twist is in the cut joint of the loop.
+        Parameters
+        ----------
+        q
+            Configurations (..., nq).
+
+        Returns
+        -------
+        Array
+            Twists (..., number of closures, 6) [v; w] in metres and radians, in axes of the joint's
+            frame M. They lead from the pose that the joint's own coordinates give to M, to its pose
+            by the tree. Zero for closed loops; the angular part is zero for particles.
         """
         from kempe.equations.judge import closure_error
 
@@ -256,16 +370,50 @@ class Loops(Namespace):
     def assembler(self, known: Iterable[str] = ()) -> Assembler:
         """Return a reusable assembler for known coordinates with fixed names.
 
-        See `kempe.assemble.bound.Assembler`.
+        Parameters
+        ----------
+        known
+            Names of coordinates and frames.
+
+        Returns
+        -------
+        Assembler
+            Function of values in this order; see `kempe.assemble.bound.Assembler`.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such coordinate or frame.
+        InputError
+            For names that cannot be known together.
         """
         from kempe.assemble.assemble import bind_assembler
 
         return bind_assembler(self.system, known)
 
     def closed_form(self, known: Sequence[str]) -> Plan | Incomplete:
-        """Return the closed form of a planar system of dyads.
+        """Find the closed form of a planar system of dyads for known coordinates.
 
-        Its inputs are the `known` coordinates; see `kempe.assemble.dyads`.
+        It exists for bodies with revolute, prismatic and fixed joints, which are placed by the
+        known coordinates, their followers, and dyads of three rigid clusters (Assur groups of class
+        two).
+
+        Parameters
+        ----------
+        known
+            Names of the known coordinates.
+
+        Returns
+        -------
+        Plan or Incomplete
+            The closed form, or the reason why there is none.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such coordinate.
+        InputError
+            For a coordinate that is not part of `q`.
         """
         from kempe.assemble.dyads import find_closed_form
 
@@ -281,10 +429,35 @@ class Loops(Namespace):
         *,
         tolerance: float | str | None = None,
     ) -> LoopJacobian:
-        """Compute the matrix from input velocities to output velocities, with all loops closed.
-        Outputs are joints or frames.
+        """Compute the Jacobian of outputs with respect to inputs, with all loops closed.
 
-        See `kempe.motion.transmission`.
+        Parameters
+        ----------
+        q
+            Closed configurations (..., nq).
+        inputs
+            Names of angles and slides, as many as the mechanism has freedoms (fewer if the other
+            freedoms do not move the outputs).
+        outputs
+            Names of coordinates (one row each), or of bodies and frames (six rows each, linear
+            first). "joint:name" and "frame:name" distinguish equal names.
+        in_frame
+            Frame in which twists are expressed, as in `System.jacobian`.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `System.idealise`.
+
+        Returns
+        -------
+        LoopJacobian
+            `matrix` (..., rows, inputs) in SI units, NaN where it does not exist, with its rank.
+
+        Raises
+        ------
+        InputError
+            For configurations that are not closed, and ambiguous names.
+        UnknownNameError
+            If there is no such coordinate or frame.
         """
         from kempe.motion.transmission import compute_loop_jacobian
 
@@ -301,9 +474,41 @@ class Loops(Namespace):
         *,
         tolerance: float | str | None = None,
     ) -> Any:
-        """Compute the ratio of output force to input force at closed configurations q (..., nq).
+        """Compute the ratio of output force to input force, without losses.
 
-        See `kempe.motion.transmission`.
+        Parameters
+        ----------
+        q
+            Closed configurations (..., nq).
+        input
+            Name of the input coordinate.
+        output
+            Name of a coordinate or a frame.
+        direction
+            Direction (3,) in the ground frame in which an output frame pushes.
+        still
+            Names of other inputs, which do not move.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `System.idealise`.
+
+        Returns
+        -------
+        float or Array
+            Ratios (...) of forces or torques: infinite where the output rests (toggle), 0 where the
+            input rests (dead point), NaN where the ratio is undetermined.
+
+        Raises
+        ------
+        InputError
+            For configurations that are not closed, and ambiguous names.
+        UnknownNameError
+            If there is no such coordinate or frame.
+
+        Notes
+        -----
+        By the principle of virtual power, the ratio is the input velocity divided by the output
+        velocity.
         """
         from kempe.motion.transmission import compute_mechanical_advantage
 
@@ -315,9 +520,37 @@ class Loops(Namespace):
     def relative_motion(
         self, q: ArrayLike, body: FrameLike, to: FrameLike, *, tolerance: float | str | None = None
     ) -> RelativeMotion:
-        """Describe how a body can move relative to another at q: degrees of freedom and twists.
+        """Find the motions of a body or frame relative to another at a closed configuration.
 
-        See `kempe.mobility.relative_motion`.
+        Parameters
+        ----------
+        q
+            Closed configuration (nq,).
+        body, to
+            Names of the moving body or frame, and of the one from which it is seen.
+        tolerance
+            Largest change of the joint placements, in metres and radians, with which the nearest
+            mechanism that closes exactly is used; see `System.idealise`.
+
+        Returns
+        -------
+        RelativeMotion
+            Number of freedoms and twists, in the frame `to`.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes, and a `q` that is not closed.
+        UnknownNameError
+            If there is no such body or frame.
+        UnsupportedError
+            For frames of particles.
+
+        Notes
+        -----
+        The result is of first order: the image, under the difference of both Jacobians, of all
+        velocities that the constraints allow. At a singular configuration some of these may not
+        extend to a motion; `System.mobility` examines this.
         """
         from kempe.mobility.relative_motion import find_relative_motion
 
@@ -327,9 +560,38 @@ class Loops(Namespace):
     def transmission_angle(
         self, q: Any, joint: str, coupler: str | None = None, output: str | None = None
     ) -> Any:
-        """Compute the angle (...) between coupler and output link at their joint.
+        """Compute the transmission angle at a joint between the coupler and the output link.
 
-        See `kempe.motion.transmission`.
+        Parameters
+        ----------
+        q
+            Closed configurations (..., nq).
+        joint
+            Joint that connects the coupler, a two-force member, with the output link.
+        coupler, output
+            Other joints of the coupler and of the output link. They may be left out where there is
+            only one. `output` also chooses the output link (default: the one nearer to the ground).
+
+        Returns
+        -------
+        float or Array
+            Angles (...) in [0, pi/2]. pi/2 is best; below about 40 degrees a linkage runs badly; at
+            0 it is stuck.
+
+        Raises
+        ------
+        UnsupportedError
+            For joints of other kinds.
+        InputError
+            For wrong shapes or ambiguous joints.
+        UnknownNameError
+            If there is no such joint.
+
+        Notes
+        -----
+        The angle is pi/2 less the pressure angle between the force of the coupler and the possible
+        motion of the output link (Alt, *Werkstattstechnik*, 1932). For a sliding output link it is
+        measured to the normal of the slide.
         """
         from kempe.motion.transmission import compute_transmission_angle
 
@@ -349,11 +611,35 @@ class ReachStudies(Namespace):
         task: str | tuple[str, ArrayLike] | None = None,
         budget: Budget | None = None,
     ) -> ReachStudy:
-        """Study which poses of a list a frame reaches.
+        """Study which poses of a list a frame reaches, how well, and what blocks the others.
 
-        The study gives distances from singularities and limits, and what blocks the other poses.
+        Parameters
+        ----------
+        targets
+            Poses (n, 4, 4) or positions (n, 3) in the ground frame.
+        frame
+            Name of the body or frame.
+        task
+            Part of the targets that counts, as in `System.ik`.
+        budget
+            Reads starts (1000), rng (0), threads, time_limit (600 s) and progress(poses tried,
+            all).
 
-        See `kempe.workspace.reach`.
+        Returns
+        -------
+        ReachStudy
+            Reached poses, their distances from singularities and limits, and reasons for the
+            others. A pose is reached if `ik`, or `ik_all` for chains with finitely many solutions,
+            finds a solution inside the limits. After the time limit it has the finished poses.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes.
+        UnknownNameError
+            If there is no such frame or task.
+        Interrupted
+            After Ctrl-C, with the finished poses as its `answer`.
         """
         from kempe.workspace.reach import reach_poses
 
@@ -370,9 +656,33 @@ class ReachStudies(Namespace):
         task: str | tuple[str, ArrayLike] | None = None,
         budget: Budget | None = None,
     ) -> BasePlacement:
-        """Compute a map of base placements from which all poses of a list are reached.
+        """Compute a map of base placements from which a frame reaches fixed targets.
 
-        See `kempe.workspace.base_placement`.
+        Parameters
+        ----------
+        targets, frame, task
+            Targets in the ground frame, as in `poses`.
+        box
+            Range (low, high) or one number for each of "x", "y", "z" in metres and "yaw" in
+            radians; others are 0.
+        cells
+            Number of values for each range, as one number or by name.
+        budget
+            Reads starts (64), rng (0), threads, time_limit (600 s) and progress(poses tried, all).
+
+        Returns
+        -------
+        BasePlacement
+            The map. After the time limit it has the finished placements.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such frame, task or coordinate of the base.
+        Interrupted
+            After Ctrl-C, with the finished placements as its `answer`.
         """
         from kempe.workspace.base_placement import place_base
 
@@ -391,7 +701,35 @@ class ReachStudies(Namespace):
     ) -> CapabilityMap:
         """Compute for each cell of a box in how many directions a frame reaches it, and how well.
 
-        See `kempe.workspace.capability`.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        box
+            Two corners (2, 3) in metres, in the plane (2, 2).
+        cells
+            Number of cells along each axis.
+        directions
+            Number of evenly spread directions, or vectors (d, 3), in the plane (d, 2).
+        rolls
+            Number of angles about each direction. Each is tried as a pose, and solutions are
+            counted for chains with finitely many.
+        budget
+            Reads starts (32), rng (0), threads, time_limit (600 s) and progress.
+
+        Returns
+        -------
+        CapabilityMap
+            The map. After the time limit it has the finished cells.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values.
+        UnknownNameError
+            If there is no such frame.
+        Interrupted
+            After Ctrl-C, with the finished cells as its `answer`.
         """
         from kempe.workspace.capability import capability_map
 
@@ -401,9 +739,38 @@ class ReachStudies(Namespace):
     def planar(
         self, frame: FrameLike, kind: str | None = None, orientation: Any = None
     ) -> PlanarWorkspace:
-        """Compute the exact workspace of a planar system.
+        """Compute the exact workspace of a frame of a planar system.
 
-        See `kempe.workspace.planar.planar_workspace`.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        kind, orientation
+            Kind of workspace, as in `System.workspace`. "dexterous" without orientations means all
+            angles.
+
+        Returns
+        -------
+        PlanarWorkspace
+            Region with its boundary and area.
+
+        Raises
+        ------
+        UnsupportedError
+            For spatial systems, constraints, coupled joints, chains of more than 6 joints, and
+            loops other than those of legs (`kempe.workspace.place_bounds`).
+        InputError
+            For prismatic joints without limits, and a frame that does not move.
+
+        Notes
+        -----
+        Candidates for the boundary are arcs and segments on which joints are at limits or singular.
+        The number of solutions of the inverse kinematics on both sides selects the boundary
+        (`kempe.workspace.planar.planar_chain`). The workspace of a mechanism with legs is the
+        intersection of the workspaces of the legs. Where orientations count, the last joint of the
+        chain must turn without limits; so must the last joint of each leg, except for one leg if
+        all others end at the frame's origin. For legs that hold different points of a platform, the
+        boundary is traced and the area sampled (`kempe.workspace.planar.planar_platform`).
         """
         from kempe.workspace.planar.planar_workspace import planar_workspace
 

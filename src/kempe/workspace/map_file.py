@@ -574,11 +574,18 @@ MANY = 2**16
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class FileMap(Report):
-    """The answers of a verb to the rows of a file, and where they are stored.
+    """Answers of a verb to the rows of a file, and where they are stored.
 
-    `rows` of the `requested` ones are done, in chunks of `chunk` rows; `outcomes` says how many of
-    them came to which `Status`, by its name. Where the work was `interrupted`, or the time limit
-    came (`late`), the same call goes on.
+    Attributes
+    ----------
+    rows, requested
+        Numbers of finished and of requested rows.
+    chunk
+        Number of rows in one chunk of the store.
+    outcomes
+        Number of rows by the name of their `Status`.
+    late, interrupted
+        Whether the time limit or Ctrl-C ended the work. The same call continues it.
     """
 
     __repr__ = summarize_fields
@@ -645,33 +652,61 @@ def map_file(
     client: Any = None,
     budget: Budget | None = None,
 ) -> FileMap:
-    """Apply a verb to each row of a file of any size, and write the answers to a path as Zarr.
+    """Apply a verb to each row of a file of any size, and write the answers to a Zarr store.
 
-    `verb` is "fk", "ik", "ik_all" or "assemble"; `source` a .parquet, .npy or .csv file, a folder
-    of .parquet files, or Zarr: an array, or a group whose arrays of one axis are columns. Rows are
-    configurations for "fk": all coordinates in the order of `q`, or columns that have their names
-    (those that are missing are neutral). For "ik" and "ik_all" they are targets of a `frame`: x, y,
-    z, with roll, pitch, yaw or with qw, qx, qy, qz, in the plane also x, y and x, y, angle, or
-    poses (n, 4, 4) and (n, 3, 4). For "assemble" they are known coordinates. In radians and metres,
-    or angles in `degrees`. `columns` are those that count, or the names of columns that have none.
-    `options` are those of the verb: form, dtype; task, start, method, tolerance, limits, fixed;
-    branch, prefer.
+    Parameters
+    ----------
+    system
+        The system.
+    verb
+        "fk", "ik", "ik_all" or "assemble".
+    source
+        A .parquet, .npy or .csv file, a folder of .parquet files, or Zarr: an array, or a group
+        whose arrays of one axis are columns. Rows for "fk" are configurations: all coordinates in
+        order, or columns by name (missing ones are neutral). Rows for "ik" and "ik_all" are
+        targets: x, y, z with roll, pitch, yaw or with qw, qx, qy, qz; in the plane x, y or x, y,
+        angle; or poses (n, 4, 4) and (n, 3, 4). Rows for "assemble" are known coordinates. Units
+        are radians and metres.
+    path
+        Path of the Zarr store.
+    frame
+        Name of the frame. "ik" and "ik_all" need it; "fk" without it gives all bodies.
+    columns
+        Names of the columns that count, or names for columns without any.
+    options
+        Options of the verb: form, dtype; task, start, method, tolerance, limits, fixed; branch,
+        prefer.
+    degrees
+        Angles are in degrees.
+    client
+        A `distributed.Client` or the address of a scheduler: a Dask cluster does the work.
+    budget
+        Reads rng (0), threads, time_limit (none) and progress(rows, n).
 
-    At `path` then are arrays with a row for each row, which xarray opens: the answer, `code`
-    (`Status`), errors, and what made them. A row that is no number gives NaN and the code
-    BAD_INPUT. Chunks have 65 536 rows for "fk", else 4096, and at most 8 MB of rows and 8 MB
-    of answers; of these the memory holds one a thread. A block of the file (a row group of Parquet,
-    a chunk of Zarr) is held besides, 1 GB at most.
+    Returns
+    -------
+    FileMap
+        What was done. The store has arrays with one entry for each row: the answer, its `code`, and
+        errors. A row that is not finite has NaN and the code BAD_INPUT; an unfinished row has NaN
+        and the code 255.
 
-    What is done stands there chunk by chunk, with checksums; rows that are left have NaN and the
-    code 255. After any interruption the same call goes on, and makes damaged chunks again. Answers
-    do not depend on threads or workers: with a `client`, a `distributed.Client` or the address of a
-    scheduler, those of a Dask cluster answer. Of the `budget` are read: rng (0), threads,
-    time_limit (none), progress(rows, n).
+    Raises
+    ------
+    InputError, UnknownNameError
+        For a wrong file or path, and for wrong options of the verb.
+    DiskError
+        If the store cannot be written.
+    DamagedError
+        For a source that cannot be read.
+    MissingExtraError
+        Without the extra [scale].
 
-    Errors: `InputError` and `UnknownNameError` for what the file is not, and for what is at the
-    path; those of the verb for its options; `DiskError`; `DamagedError` for a source that cannot be
-    read; `MissingExtraError` without the extra [scale].
+    Notes
+    -----
+    A chunk has 65 536 rows for "fk" and 4096 for other verbs, and at most 8 MB of rows and of
+    answers. Memory holds one chunk for each thread, and one block of the file (at most 1 GB).
+    Chunks are written with checksums. After an interruption the same call continues, and repeats
+    damaged chunks. Answers do not depend on threads or workers.
     """
     spend = USUAL.complete_budget(budget)
     own = isinstance(client, str)

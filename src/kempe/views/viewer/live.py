@@ -754,7 +754,15 @@ def serve_viewer(
 
 
 class Viewer:
-    """Served page: `url` is its address, `q` (nq,) the configuration of the last moved page."""
+    """Served page that shows a system.
+
+    Attributes
+    ----------
+    url
+        Address of the page.
+    q
+        Configuration (nq,) of the page that was moved last.
+    """
 
     def __init__(self, session: Session, share: bool, port: int, deg: bool = False):
         self.session = session
