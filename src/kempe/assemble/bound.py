@@ -313,10 +313,14 @@ SPENT = _read_budget(None)
 class Assembler:
     """Assembly for fixed names of known coordinates and frames, reused for many values.
 
-    Names are looked up and loops packed only once.
+    Names are looked up and loops are packed once.
 
-    `known` are names of coordinates and of frames, in the order in which values are given. Without
-    `one_sided` the inequalities among the declared constraints do not count.
+    Parameters
+    ----------
+    known
+        Names of coordinates and frames, in the order of the values.
+    one_sided
+        Whether declared inequalities count.
     """
 
     def __init__(self, system: Model, known: Iterable[str] = (), one_sided: bool = True):

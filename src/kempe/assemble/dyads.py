@@ -48,7 +48,15 @@ MOST_SIGNS = 16
 
 @dataclass(frozen=True)
 class Incomplete(Report):
-    """Report that there is no closed form: the `reason`, and the `bodies` that no dyad places."""
+    """Report that there is no closed form.
+
+    Attributes
+    ----------
+    reason
+        Why there is none.
+    bodies
+        Bodies that no dyad places.
+    """
 
     reason: str
     bodies: tuple[str, ...] = ()
@@ -150,14 +158,25 @@ class DyadAnswer(Answer):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Plan(Report):
-    """Closed form of a mechanism for `known` coordinates: dyads that are solved in turn.
+    """Closed form of a mechanism for known coordinates: dyads that are solved one after the other.
 
-    `dyads` lists them; `signs` is how many of them have two roots, and so are chosen by a branch
-    sign, +1 or -1. A sign stays along a motion until its `heights` is zero: there two branches
-    meet. Most mechanisms turn back at such a place; at a change point, as of a parallelogram that
-    is flat, a smooth motion goes on with the other sign. Openings up to `tolerance` metres count as
-    closed. Method: chained circle and line intersections of the dyads (Assur, 1914), in vectors of
-    configurations.
+    Attributes
+    ----------
+    known
+        Names of the known coordinates.
+    dyads
+        The dyads in order.
+    signs
+        Number of dyads with two roots; a branch sign, +1 or -1, chooses the root of each.
+    tolerance
+        Openings up to this length in metres count as closed.
+
+    Notes
+    -----
+    A sign stays along a motion until its `heights` is zero, where two branches meet. Most
+    mechanisms turn back there. At a change point, such as a flat parallelogram, a smooth motion
+    continues with the other sign. Method: intersections of circles and lines of the dyads (Assur,
+    1914), for vectors of configurations.
     """
 
     system: Model
@@ -212,15 +231,26 @@ class Plan(Report):
     def solve(
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
     ) -> tuple[Array, Any, Any]:
-        """Solve for configurations q (..., nq).
+        """Solve for configurations on one branch.
 
-        Also returns whether they are closed (...), and their openings (...) in metres.
+        Parameters
+        ----------
+        values
+            Values (..., n_known) in the order of `known`. NaN gives NaN.
+        branch
+            Signs, (signs,) or (..., signs), or text such as '+-' (default: the branch of `start`,
+            else + everywhere).
+        start
+            Configurations (nq,) or (..., nq): angles are the nearest to them (default: to zero),
+            and inside the limits if a representative is.
+        threads
+            Number of threads for a large batch.
 
-        `values` (..., n_known) are the known coordinates in the order of `known`. `branch` are the
-        signs, (signs,) or (..., signs), or text such as '+-'; where it is left out, the branch of
-        `start` is taken, else + everywhere. Angles are those nearest to `start`, (nq,) or (...,
-        nq), else to zero, and inside the limits where some representative is. What cannot close is
-        put where it nearly touches; NaN among the values gives NaN.
+        Returns
+        -------
+        tuple
+            Configurations (..., nq), a mask (...) of the closed ones, and openings (...) in metres.
+            Dyads that cannot close are placed where they nearly touch.
         """
         closed = self.close(values, branch, start, threads)
         return closed.q, closed.ok, closed.gap
@@ -282,12 +312,19 @@ class Plan(Report):
         )
 
     def heights(self, q: Any) -> Array:
-        """Return the signed lengths [m] (..., signs) whose signs name the branch.
+        """Compute the signed lengths whose signs name the branch.
 
-        They are zero where two branches meet.
+        Parameters
+        ----------
+        q
+            Configurations (..., nq).
 
-        For three revolute joints, the distance of the middle one from the line through the others;
-        with a prismatic joint, the way that it has slid from where its two roots meet.
+        Returns
+        -------
+        Array
+            Lengths (..., signs) in metres; zero where two branches meet. For three revolute joints
+            it is the distance of the middle joint from the line through the others; with a
+            prismatic joint, its displacement from where its two roots meet.
         """
         q = read_q(self.system, q)
         X = fk(self.system, q)

@@ -349,16 +349,23 @@ WIDTH = 110
 
 @dataclass(frozen=True)
 class Recognised(Report):
-    """Structure of the chain of a `frame`, and the method that solves its inverse kinematics.
+    """Structure of the chain of a frame, and the method that solves its inverse kinematics.
 
-    `joints` are those that move the frame, from the ground to it, `kinds` whether each "turns" or
-    "slides". `relations` are facts about consecutive axes, those that a structure misses by little
-    among them. `steps` are the rows of a table, in the order in which joints are solved: the
-    `joints`, the `equation` that gives them, and the largest number of their `values`. `method` is
-    "closed form", "elimination" or "search". `most` is the largest number of isolated
-    configurations that a target can have, turns by 2 pi not counted; `held` are the joints that
-    stay at their values because the chain has more than the task needs, or because the caller said
-    so.
+    Attributes
+    ----------
+    joints, kinds
+        Names of the joints from the ground to the frame, and whether each "turns" or "slides".
+    relations
+        Facts about consecutive axes, also those that a structure misses by little.
+    steps
+        Rows of a table in the order of solving: joints, the equation for them, and the largest
+        number of values.
+    method
+        "closed form", "elimination" or "search".
+    most
+        Largest number of isolated solutions of a target, whole turns not counted.
+    held
+        Joints that keep their values, because the chain has spare joints or by request.
     """
 
     system: str

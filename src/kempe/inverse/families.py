@@ -400,14 +400,26 @@ class SolutionSet(Curve):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Family(InWords):
-    """A connected set of infinitely many configurations that reach a target, limits ignored.
+    """Connected set of infinitely many configurations that reach a target, limits ignored.
 
-    `freedoms` is its dimension, `q` (m, nq) are samples: along a curve in their order, angles
-    continuous, and if it is `closed` the first one follows the last; of a family with more freedoms
-    some, in any order. `basis` (freedoms, nq) are unit tangents at the first sample. `joints` are
-    those that move. `residual` is the largest error of the samples [m, rad]. `sample` gives as many
-    members as needed; the members in which some joints have given values are those of
-    ``ik_all(..., fixed={...})``.
+    Attributes
+    ----------
+    freedoms
+        Dimension of the set.
+    q
+        Samples (m, nq). On a curve they are in order, with continuous angles; if `closed`, the
+        first sample follows the last one.
+    basis
+        Unit tangents (freedoms, nq) at the first sample.
+    joints
+        Names of the joints that move.
+    residual
+        Largest error of the samples in metres and radians.
+
+    Notes
+    -----
+    `sample` gives any number of members. ``ik_all(..., fixed={...})`` gives the members with given
+    values of some joints.
     """
 
     freedoms: int

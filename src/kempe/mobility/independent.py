@@ -185,10 +185,16 @@ class Chart(Report):
         return way[..., self._list_velocity_indices()]
 
     def q(self, u: Any, start: Any = None) -> Assembly:
-        """Find the configuration with independent coordinates u (..., p), by a search from `start`.
+        """Find the configuration with given independent coordinates, by a search from a start.
 
-        Default for `start`: the origin. From far away it may be on another branch: lead it in
-        steps. Idle ones may be left out: what spins then stays about as it is at `start`.
+        Parameters
+        ----------
+        u
+            Independent coordinates (..., p). Idle ones may be left out; idle bodies then stay about
+            as they are at `start`.
+        start
+            Configuration at which the search starts (default: the origin). Far from it the result
+            may be on another branch; approach it in steps.
         """
         u = numbers(u, "u")
         given = self.independent

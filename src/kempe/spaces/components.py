@@ -227,12 +227,20 @@ def _find_nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Arra
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Components(Report):
-    """The connected components of a configuration space.
+    """Connected components of a configuration space.
 
-    `count` is their number, a lower bound unless `complete`, and `reason` says why it is the one or
-    the other. `parts` are those with one freedom, as curves; `singular` (k, nq) are the singular
-    points that are known. `dimension` is the number of freedoms, of which `idle` spins do not
-    count.
+    Attributes
+    ----------
+    count
+        Number of components; a lower bound unless `complete`.
+    complete, reason
+        Whether the count is proven, and why.
+    parts
+        Components with one freedom, as curves.
+    singular
+        Known singular points (k, nq).
+    dimension
+        Number of freedoms, without idle freedoms.
     """
 
     __repr__ = summarize_fields

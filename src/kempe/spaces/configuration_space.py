@@ -56,14 +56,23 @@ class ProductSpace(InWords):
 
 @dataclass(frozen=True)
 class ConfigurationSpace(Report):
-    """The set of all configurations that a system can have.
+    """Set of all configurations that a system can have.
 
-    `ambient` is the space of all coordinates: a circle T for each turn, a line R for each slide,
-    SO(3) for each quaternion. A turn without limits is a line, too, where a constraint tells whole
-    turns apart: 1 - q1 - q2 >= 0. Of a tree it is the configuration space. With loop closures or
-    relations (`constraints` rows of them) the configuration space is a subset, of a smaller
-    `dimension`. `limited` coordinates are confined to an interval of their factor. Sizes of arrays
-    are `System.nq` and `System.nv`.
+    The sizes of arrays are `System.nq` and `System.nv`.
+
+    Attributes
+    ----------
+    ambient
+        Space of all coordinates: a circle T for each angle, a line R for each slide, SO(3) for each
+        quaternion. An angle without limits is a line if a constraint distinguishes whole turns,
+        such as 1 - q1 - q2 >= 0.
+    dimension
+        Dimension of the configuration space. For a tree the configuration space is `ambient`; loop
+        closures and relations make it a subset of smaller dimension.
+    constraints
+        Number of equations of loop closures and relations.
+    limited
+        Coordinates that limits confine to an interval.
     """
 
     _has_angles = True

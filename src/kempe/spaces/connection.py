@@ -233,12 +233,18 @@ USUAL = Usual("path", step=STEP, rng=0, iterations=4000, time_limit=TIME_LIMIT)
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Connection(Configurations):
-    """A continuous motion `q` (n, nq) between two configurations, in steps up to `step`, or empty.
+    """Continuous motion between two configurations, or the reason why there is none.
 
-    The sentence says how it was found, or why not: `code` is `NONE_EXISTS` where it is proven that
-    the two are on different components, `OUTSIDE_LIMITS` where one of them is outside. `length` is
-    that of the motion, in radians and characteristic lengths. Angles without limits end up to whole
-    turns at the goal.
+    Attributes
+    ----------
+    q
+        Configurations (n, nq) in steps of at most `step`; empty without a motion. Angles without
+        limits may end whole turns away from the goal.
+    code
+        `NONE_EXISTS` if the two configurations are proven to be on different components,
+        `OUTSIDE_LIMITS` if one of them is outside the limits.
+    length
+        Length of the motion in radians and characteristic lengths.
     """
 
     is_motion = True

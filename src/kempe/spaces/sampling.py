@@ -142,11 +142,19 @@ USUAL = Usual("sample", time_limit=TIME_LIMIT, progress=None)
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Sample(Configurations):
-    """Random configurations `q` (n, nq), uniform in the `measure` that the sentence states.
+    """Random configurations within limits and constraints.
 
-    `exact` says that they are drawn independently from that measure (on curves: of the components
-    that were found); a random walk only comes near to it. `taken` is the share of proposals, or of
-    steps of the walk, that were taken.
+    Attributes
+    ----------
+    q
+        Configurations (n, nq).
+    measure
+        The measure in which they are uniform, in words.
+    exact
+        Whether they are independent draws from the measure (on curves, of the components found). A
+        random walk only approaches it.
+    taken
+        Share of accepted proposals, or of accepted steps of the walk.
     """
 
     __repr__ = summarize_fields

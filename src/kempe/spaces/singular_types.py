@@ -41,11 +41,18 @@ SAME = 1e-5
 class SingularSet(InWords):
     """Configurations that are singular in the same way.
 
-    `kinds` are "serial" of a chain, and of closed loops some of "type 1", "type 2" and
-    "constraint". `name` is "shoulder", "elbow" or "wrist" where the arm has such, else "".
-    `coordinates` are those that decide whether a configuration is in the set, and `values` (k, n)
-    theirs, where they are isolated; elsewhere it has no rows. `dimension` is that of the set; `q`
-    (m, nq) are the configurations that were found.
+    Attributes
+    ----------
+    kinds
+        "serial" for a chain; for closed loops some of "type 1", "type 2" and "constraint".
+    name
+        "shoulder", "elbow" or "wrist" for arms with such singularities, else "".
+    coordinates, values
+        Coordinates that decide membership, and their values (k, n) if these are isolated.
+    dimension
+        Dimension of the set.
+    q
+        Configurations (m, nq) that were found.
     """
 
     __repr__ = summarize_fields

@@ -209,12 +209,22 @@ class Singularities(Report, Tabular):
         return s.to_data() | {"values": values, "q": name_values(self.system, s.q)}
 
     def nearest(self, q: Any) -> NearestSingular:
-        """Find the singular configuration nearest to a closed configuration (nq,), over all sets.
+        """Find the singular configuration nearest to a closed configuration, over all sets.
 
-        See `NearestSingular`.
+        Parameters
+        ----------
+        q
+            Closed configuration (nq,).
 
-        It is a local minimum of the distance, found from several points of each set. Errors:
-        `InputError`.
+        Returns
+        -------
+        NearestSingular
+            A local minimum of the distance, found from several points of each set.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes or values.
         """
         q = read_finite_q(self.system, q)
         found = [self._find_nearest(s, q) for s in self.sets]
@@ -279,15 +289,30 @@ class Singularities(Report, Tabular):
     ) -> SingularCurves:
         """Trace the curves of singular configurations, and the curves that the frame draws.
 
-        Only sets that are curves are traced.
+        Only sets that are curves are traced. In the plane these are the curves on which a frame's
+        position loses a direction, and all curves of systems with two freedoms.
 
-        In the plane those are curves at which a frame's position loses a direction, and of two
-        freedoms all of them. Larger sets are cut down to curves by coordinates that are held,
-        `hold` {name: value}, and by the frame's `orientation` (planar systems: an angle in
-        radians). With the answer's `limits` curves end there. Of the `budget` are read: step (0.05,
-        the longest step, in radians and characteristic lengths), time_limit (120 s), and progress,
-        which is called with the number of configurations done and that of all. Errors: `InputError`
-        where the sets are larger than curves; `UnknownNameError`.
+        Parameters
+        ----------
+        hold
+            Values of coordinates by name, which cut larger sets to curves.
+        orientation
+            Orientation of the frame that cuts larger sets to curves; in the plane an angle in
+            radians.
+        budget
+            Reads step (0.05, in radians and characteristic lengths), time_limit (120 s) and
+            progress(configurations done, all).
+
+        Raises
+        ------
+        InputError
+            If the sets are larger than curves.
+        UnknownNameError
+            If there is no such coordinate.
+
+        Notes
+        -----
+        If the answer has `limits`, curves end at them.
         """
         clock = TimeLimit(CURVES_USUAL.complete_budget(budget).time_limit)
         rows, held = make_held_equations(self, hold, orientation)

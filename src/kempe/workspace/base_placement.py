@@ -40,12 +40,20 @@ AXES = ("x", "y", "z", "yaw")
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class BasePlacement(Study):
-    """Map of base placements over `axes` (name to values), with the reached poses of a list.
+    """Map of base placements with the reached poses of a list.
 
-    Over the axes, in their order: `fraction` of the poses that are reached; `margin` and
-    `manipulability`, the least over the poses (NaN where one is not reached). `fixed` are the
-    coordinates of the base that are the same everywhere. Where the map was `broken` off, by the
-    time limit or an interrupt, all three are NaN at the places left.
+    Attributes
+    ----------
+    axes
+        Values of the base coordinates along each axis of the map, by name.
+    fixed
+        Base coordinates that are the same everywhere.
+    fraction
+        Share of the poses that are reached, over the axes.
+    margin, manipulability
+        Least values of the poses, over the axes; NaN where a pose is not reached.
+    broken
+        Reason if the time limit or an interrupt ended the work; the remaining places are NaN.
     """
 
     _pictured = True

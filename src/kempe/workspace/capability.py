@@ -40,13 +40,24 @@ USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None,
 class CapabilityMap(Study):
     """Map of how well a frame reaches the cells of a box, by inverse kinematics at their centres.
 
-    `axes` are the coordinates of the centres in metres, along each axis. Over the cells: `fraction`
-    of the poses that are reached; `solutions`, the mean number of solutions inside the limits of
-    all its poses (NaN where it is infinite or not certain); `manipulability` and `margin`, the best
-    found (NaN where nothing is reached). `directions` (d, 3) are those of the tool's z axis (in the
-    plane of its x axis), `rolls` the angles about it at which each is tried (none: the angle is
-    free). `reached` (cells, d, rolls) says which poses are. Where the map was `broken` off, by the
-    time limit or an interrupt, the cells left are NaN.
+    Attributes
+    ----------
+    axes
+        Coordinates of the centres in metres, along each axis.
+    fraction
+        Share of the poses that are reached, for each cell.
+    solutions
+        Mean number of solutions inside the limits; NaN if infinite or not certain.
+    manipulability, margin
+        Best values found; NaN where no pose is reached.
+    directions
+        Directions (d, 3) of the frame's z axis, in the plane of its x axis.
+    rolls
+        Angles about each direction; empty if the angle is free.
+    reached
+        Mask (cells, d, rolls) of the reached poses.
+    broken
+        Reason if the time limit or an interrupt ended the work; the remaining cells are NaN.
     """
 
     _pictured = True

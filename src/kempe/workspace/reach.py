@@ -236,14 +236,24 @@ class Study(Report):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class ReachStudy(Study, Tabular):
-    """A study of the poses of a list that a frame reaches, how well, and what blocks the others.
+    """Study of the poses of a list: which a frame reaches, how well, and what blocks the others.
 
-    All have a place for each pose (n,): `reached`; `solutions`, the number of configurations inside
-    the limits (-1 where it is infinite or not certain); `manipulability` and `margin`, the best of
-    those that were found (NaN where there is none): the margin is how far, of half its range, a
-    joint is from its nearest limit; `q` (n, nq) the configuration with the largest margin, or the
-    nearest to the pose; `codes` the outcomes, as numbers of `Status`. Where the study was `broken`
-    off, by the time limit or an interrupt, that is the outcome of the poses left.
+    Attributes
+    ----------
+    reached
+        Mask (n,) of the reached poses.
+    solutions
+        Numbers (n,) of configurations inside the limits; -1 if infinite or not certain.
+    manipulability, margin
+        Best values (n,) of the solutions found; NaN without one. The margin is the distance of a
+        joint from its nearest limit, as a share of half its range.
+    q
+        Configurations (n, nq) with the largest margin, or nearest to the pose.
+    codes
+        Numbers (n,) of `Status`.
+    broken
+        Reason if the time limit or an interrupt ended the study; the remaining poses have this
+        code.
     """
 
     _has_angles = True

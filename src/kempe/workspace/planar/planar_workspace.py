@@ -216,12 +216,19 @@ class SolutionRegion:
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class PlanarWorkspace(Report):
-    """The exact set of points that the origin of a frame reaches in the plane, within the limits.
+    """Exact set of points that the origin of a frame reaches in the plane, within the limits.
 
-    `boundary` are arcs of circles and segments that have the workspace to their left, and of
-    platforms on legs pieces of coupler curves. `regions` tell how many solutions
-    there are where. The `area` is exact but for rounding; of a platform it is sampled, with an
-    `error`. The `kind` says in which orientations, as in `System.workspace`. Lengths are in metres.
+    Attributes
+    ----------
+    boundary
+        Arcs and segments with the workspace to their left; for platforms on legs also pieces of
+        coupler curves.
+    regions
+        Regions with their numbers of solutions.
+    area, error
+        Area in square metres, exact up to rounding, and its error. For a platform it is sampled.
+    kind
+        Kind of workspace, as in `System.workspace`.
     """
 
     _pictured = True
