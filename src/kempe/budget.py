@@ -29,9 +29,8 @@ class Tolerance(NamedTuple):
 class Budget:
     """Limits of the work of a call: time, starts, steps, threads.
 
-    None stands for the verb's default.
-
-    A verb refuses what it does not read, and says what it reads.
+    None stands for the default of the verb. A verb refuses limits that it does not read, and names
+    the ones that it reads.
     """
 
     starts: int | None = None

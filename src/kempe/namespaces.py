@@ -758,7 +758,7 @@ class ReachStudies(Namespace):
         ------
         UnsupportedError
             For spatial systems, constraints, coupled joints, chains of more than 6 joints, and
-            loops other than those of legs (`kempe.workspace.place_bounds`).
+            loops other than those of legs (`kempe.workspace.legs`).
         InputError
             For prismatic joints without limits, and a frame that does not move.
 
@@ -770,7 +770,8 @@ class ReachStudies(Namespace):
         intersection of the workspaces of the legs. Where orientations count, the last joint of the
         chain must turn without limits; so must the last joint of each leg, except for one leg if
         all others end at the frame's origin. For legs that hold different points of a platform, the
-        boundary is traced and the area sampled (`kempe.workspace.planar.planar_platform`).
+        boundary has coupler curves and the area is sampled
+        (`kempe.workspace.planar.planar_platform`).
         """
         from kempe.workspace.planar.planar_workspace import planar_workspace
 

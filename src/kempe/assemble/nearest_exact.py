@@ -116,7 +116,7 @@ GAP = 3.0
 
 @dataclass(frozen=True)
 class Change(InWords):
-    """A changed placement `side` of a joint or constraint: `moved` [m] and `turned` [rad]."""
+    """Changed placement of a joint or constraint: `moved` [m] and `turned` [rad] at its `side`."""
 
     name: str
     side: str

@@ -165,7 +165,7 @@ IN_FRAMES = {"world_aligned": WORLD_ALIGNED, "world": WORLD, "body": BODY}
 class Query(Protocol):
     """Forward kinematics of one frame of one system, prepared for many calls.
 
-    Names are looked up and arrays are packed only once.
+    Names are looked up and arrays are packed once.
     """
 
     frame: str

@@ -45,7 +45,17 @@ def with_parameters(
 
 @explain_method_errors
 class Designs(Generic[SystemType]):
-    """A batch of designs: one system with arrays of parameter values of one `shape`."""
+    """Batch of designs: one system with arrays of parameter values.
+
+    Attributes
+    ----------
+    system
+        The system.
+    parameters
+        Values by parameter name; arrays have the shape `shape`.
+    shape
+        Shape of the batch.
+    """
 
     def __init__(self, system: SystemType, numbers: Mapping[str, ArrayLike]):
         arrays = np.broadcast_arrays(*numbers.values())
@@ -68,10 +78,27 @@ class Designs(Generic[SystemType]):
         )
 
     def fk(self, q: Any, frame: FrameLike) -> Array:
-        """Compute the poses (*shape, ..., 4, 4) of a frame for every design and configuration.
+        """Compute the poses of a frame for every design and configuration.
 
-        `q` is (nq,) for one configuration of all designs, or (*shape, ..., nq) with configurations
-        of each design.
+        Parameters
+        ----------
+        q
+            One configuration (nq,) for all designs, or configurations (*shape, ..., nq) of each
+            design.
+        frame
+            Name of the body or frame.
+
+        Returns
+        -------
+        Array
+            Poses (*shape, ..., 4, 4).
+
+        Raises
+        ------
+        InputError
+            For wrong shapes.
+        UnknownNameError
+            If there is no such frame.
         """
         name = self.system.structure.frame_name(frame)
         ints, floats = self._table.pack_arrays([name])

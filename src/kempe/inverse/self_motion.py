@@ -63,13 +63,21 @@ LEAST_PART = 0.05
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class SelfMotion(Configurations):
-    """Family of configurations `q` (n, nq) that keep tasks, in the order of the motion.
+    """Family of configurations that keep tasks, in the order of the motion.
 
-    `freedoms` are those that the tasks leave at the start, over a distance: where there are only
-    such to first order, `freedoms` is 0 and `q` has the start alone. `start` is the row of the
-    configuration it began with. `closed` says that the way comes back to it; else `ends` says for
-    both ends why the way ends there. Where an interrupt from the keyboard (`interrupted`) or the
-    time limit (`late`) ended the work, these are the configurations found by then.
+    Attributes
+    ----------
+    q
+        Configurations (n, nq).
+    freedoms
+        Number of freedoms that the tasks leave at the start, over a distance. It is 0, and `q` has
+        the start alone, if these freedoms exist only to first order.
+    start
+        Row of the configuration at which the motion was started.
+    closed, ends
+        Whether the motion returns to its start, or else why it ends at both ends.
+    late, interrupted
+        Whether the time limit or Ctrl-C ended the work; `q` is then what was found by then.
     """
 
     is_motion = True

@@ -123,11 +123,19 @@ class Best(NamedTuple):
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class Slice(ConfigurationList, Answer):
-    """All solutions at one value of the parameter of a `sweep`, or at each of many values.
+    """All solutions at one value of the parameter of a `sweep`, or at each of several values.
 
-    For one: `q` (k, nq), those inside the limits first, and `inside`, `residual` (norm of position
-    error [m] and orientation error [rad] by the forward model) and `branch` (k,). For values (m,):
-    `q` (m, K, nq) with a row for each branch, NaN where `mask` (m, K) is False, the others (m, K).
+    Attributes
+    ----------
+    q
+        Configurations (k, nq) for one value, those inside the limits first. For m values (m, K, nq)
+        with a column for each branch, NaN where `mask` (m, K) is False.
+    inside
+        Mask of the solutions inside the limits.
+    residual
+        Norm of the position error [m] and orientation error [rad], by the forward model.
+    branch
+        Number of the branch of each solution.
     """
 
     __repr__ = summarize_fields
@@ -175,20 +183,28 @@ class Slice(ConfigurationList, Answer):
 @explain_method_errors
 @dataclass(frozen=True, eq=False, repr=False)
 class Sweep(Answer):
-    """Solutions of a chain with one redundant freedom over a `parameter`.
+    """Solutions of a chain with one redundant freedom along a parameter: a joint or "arm_angle".
 
-    The parameter is a joint, or "arm_angle".
+    `at` gives all solutions at any value of the parameter, `best` the best one.
 
-    `intervals` has, for each branch, the intervals (low, high) of the parameter in which its
-    solution is inside the limits; `spans` those in which it exists at all; `feasible` is the union
-    of `intervals`. Arm angles: low is in [-pi, pi), and high is beyond pi where the interval passes
-    it. `exact`: the intervals are in closed form and complete; else they are found from solutions
-    at many values, their ends to 1e-10, and pieces between two of these values may be missing.
-    `labels` name the branches, by the sides to which shoulder, elbow and wrist bend.
-
-    `values` (n,), `q` (n, K, nq), `mask` and `inside` (n, K) are samples, if any were requested:
-    each row is one branch, continuous inside its intervals, NaN where `mask` is False. `at` gives
-    all solutions at any value, `best` the best.
+    Attributes
+    ----------
+    intervals
+        For each branch, the intervals (low, high) of the parameter in which its solution is inside
+        the limits. For arm angles, low is in [-pi, pi), and high exceeds pi if the interval passes
+        it.
+    spans
+        For each branch, the intervals in which its solution exists.
+    feasible
+        Union of `intervals`.
+    exact
+        Whether the intervals have a closed form and are complete. Otherwise their ends are found to
+        1e-10 from solutions at many values, and pieces between two of these values may be missing.
+    labels
+        Names of the branches, by the sides to which shoulder, elbow and wrist bend.
+    values, q, mask, inside
+        Samples, if requested: values (n,), configurations (n, K, nq) with a column for each branch,
+        continuous inside its intervals, and masks (n, K).
     """
 
     also = (

@@ -39,13 +39,22 @@ if TYPE_CHECKING:
 @explain_method_errors
 @dataclass(frozen=True, eq=False)
 class LoopJacobian(Report):
-    """The Jacobian of output velocities by input velocities, through closed loops.
+    """Jacobian of output velocities with respect to input velocities, through closed loops.
 
-    `matrix` (..., rows, inputs) in SI units, NaN where it does not exist; `rows` names what each
-    row is. `nullity` (...) counts the first-order motions of the mechanism, `rank` (...) the
-    independent ones among the inputs; `margin` (...) is the smallest singular value of the inputs
-    on the null space: 0 at a dead point. `code` (...) is one of `Status.SOLVED`, `DEAD_POINT`,
-    `UNDETERMINED`.
+    Attributes
+    ----------
+    matrix
+        Jacobians (..., rows, inputs) in SI units, NaN where they do not exist.
+    inputs, rows
+        Names of the inputs and of the rows.
+    nullity
+        Numbers (...) of first-order motions of the mechanism.
+    rank
+        Numbers (...) of independent motions among the inputs.
+    margin
+        Smallest singular values (...) of the inputs on the null space: 0 at a dead point.
+    code
+        `Status.SOLVED`, `DEAD_POINT` or `UNDETERMINED`.
     """
 
     __repr__ = summarize_fields

@@ -21,19 +21,41 @@ LABELS = ("joints", "frames", "bodies", "coordinates", "parameters")
 
 @dataclass(frozen=True)
 class PlotOptions:
-    """Options of a picture of a system. Errors: `InputError` for values that are not allowed.
+    """Options of a picture of a system.
 
-    `labels`: True for the names of joints and frames, False for none, or words of `LABELS` ("all"
-    for all): names of "bodies" in their colour, values of "coordinates", "parameters" with their
-    numbers. `axes`: names of bodies and frames whose axes are drawn and named (x_0, y_0, ...),
-    "all" for all that there are. `frames`: those whose axes are drawn without that; over a path
-    their curves are drawn instead; None for all. `angles`: arcs and lengths of the coordinates,
-    from where they are measured; with the name of a frame of a planar chain, the angles alpha and
-    beta of the line to it, too. `dimensions`: lengths of the links, by their parameters. `motion`:
-    arrows for the freedoms of each joint, and neighbouring positions. `workspace`: frame of a
-    planar chain whose workspace is shaded. `ghosts`: so many earlier positions of a path.
-    `side_by_side`: several configurations in axes of their own, in place of one over the other.
-    `titles`: their names, in place of those that the answer gives them. `ax`: axes to draw on.
+    Parameters
+    ----------
+    frames
+        Names of frames whose axes are drawn without labels; over a path, frames whose curves are
+        drawn. None stands for all.
+    labels
+        True for the names of joints and frames, False for none, or words of `LABELS` ("all" for
+        all): names of "bodies" in their colour, values of "coordinates", "parameters" with their
+        numbers.
+    axes
+        Names of bodies and frames whose axes are drawn and named (x_0, y_0, ...), or "all".
+    angles
+        Draw arcs and lengths of the coordinates. With the name of a frame of a planar chain, also
+        the angles alpha and beta of the line to the frame.
+    dimensions
+        Draw lengths of the links with their parameters.
+    motion
+        Draw arrows for the freedoms of each joint, and neighbouring positions.
+    workspace
+        Frame of a planar chain whose workspace is shaded.
+    ghosts
+        Number of earlier positions of a path.
+    side_by_side
+        Draw several configurations in axes of their own, in place of one over the other.
+    titles
+        Names of the configurations, in place of those that the answer gives them.
+    ax
+        Matplotlib axes (default: new ones).
+
+    Raises
+    ------
+    InputError
+        For values that are not allowed.
     """
 
     frames: Iterable[Any] | FrameLike | None = ()
