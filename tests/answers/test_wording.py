@@ -16,6 +16,7 @@ from kempe.answers.evidence import (
     Evidence,
     list_limit_violations,
     make_evidence,
+    make_limit_evidence,
     make_reach_evidence,
 )
 
@@ -103,6 +104,18 @@ def test_each_kind_of_evidence_is_found_out_somewhere_and_has_a_sentence():
             "without the limits of 'a', 'b' it closes, so these may be what blocks it",
         ),
         ("one-sided", {"violated": ["x", "y"], "known": True}, "what is known contradicts x, y"),
+        ("not closed", {}, "with these values no closed configuration was found"),
+        ("open", {"what": "nothing"}, "nothing is open"),
+        (
+            "open",
+            {"what": "place", "names": ["a", "b"], "place": 0.25},
+            "the place of 'a' or 'b' is missed by 0.25 m",
+        ),
+        (
+            "open",
+            {"what": "loop", "names": ["C"], "place": 0.25, "turn": 0.5},
+            "the loop of joint 'C' stays open by 0.25 m and 0.5 rad",
+        ),
         (
             "tried",
             {"held": [("q", 0.5)], "values": 1, "starts": 9},
@@ -161,3 +174,20 @@ def test_coordinates_outside_of_their_limits_count_modulo_turns():
     assert list_limit_violations(s, np.array([0.5 + 3 * turn, 2.5 - turn])) == []
     assert list_limit_violations(s, np.array([1.5, 2.5 - turn]), turns=False) == [first, second]
     assert list_limit_violations(s, np.array([1.5, 2.5 - turn])) == [first]
+
+
+def test_what_was_found_without_limits_tells_which_block():
+    """Values beyond a limit, beyond it by a turn that counts, or inside: known by construction."""
+    s = kempe.load("two_link")
+    turn = 6.283185307179586
+    first, second = s.coordinate_names
+    s = s.with_limits({first: (-1.0, 1.0), second: (2.0, 3.0)})
+    beyond = np.array([1.5, 2.5])
+    wound = np.array([0.5, 2.5 - turn])
+    assert make_limit_evidence(s, None) is None
+    assert make_limit_evidence(s, beyond, task="t").names == [first]
+    assert make_limit_evidence(s, wound).kind == "more starts"
+    assert make_limit_evidence(s, wound, retry=lambda q: q).kind == "more starts"
+    assert make_limit_evidence(s, wound, retry=lambda q: None).names == [second]
+    inside = np.array([0.5, 2.5])
+    assert make_limit_evidence(s, inside, retry=lambda q: None).kind == "more starts"
