@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import kempe
 from kempe import Mechanism, System
+from kempe.mobility.local_dimension import find_local_dimension
 
 
 def four_bar(
@@ -662,6 +663,14 @@ def test_a_plate_on_equal_parallel_rods(rods, dof, useful):
     np.testing.assert_allclose(s.fk(q, "plate"), at(0, 0, 1), atol=1e-9)
     mobility = s.mobility(q)
     assert (mobility.dof, mobility.useful) == (dof, useful), mobility.sentence
+
+
+def test_a_plate_on_rods_for_any_random_numbers(hunt):
+    """Both branches are shaky all along: what is near a branch must not count as a direction of it."""
+    s = plate(6)
+    q = s.assemble(start={"F.z": 1.0, "F.qw": 1.0}).q
+    for seed in range(hunt.cases(40)):
+        assert find_local_dimension(s, q, rng=seed).dim == 8, seed
 
 
 def test_a_plate_on_six_rods_keeps_two_freedoms_away_from_home():

@@ -60,8 +60,10 @@ ENOUGH = 4
 ends."""
 SAME_PLANE = 0.2
 """Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
-SPREAD = 0.1
-"""Singular values of unit vectors below this part of the largest are the bend of a branch."""
+SPREAD = 0.7
+"""Singular value of points around a point of a branch up to which a direction is none of the
+branch, but its bend or its distance to the point: it is at least the root of 2 for those of the
+branch, for the points are sought both ways along the axes of a frame."""
 SAME_LIMIT = 0.1
 """The same on the smallest sphere, where they are nearly those at the configuration itself."""
 STEP = 0.2

@@ -256,13 +256,14 @@ def project_on_closed_directions(loops, work):
     for v in range(loops.nv):
         work.step[v] = np.nan if is_held(loops, v) else 0.0
         work.kept[v] = 0.0
+    damping = LEAST
     for _ in range(4 * loops.nv):
         for i in range(loops.plan[L.N_ROWS]):
             work.y[i] = 0.0
         for v in range(loops.nv):
             marked = work.step[v] != work.step[v]
             add_product(loops, v, work.kept[v] if marked else work.target[v], work.y, 1)
-        write_normal_matrix(loops, work.step, NEARLY_CLOSED, work.a, work.column)
+        write_normal_matrix(loops, work.step, damping, work.a, work.column)
         factor_envelope(loops, work.a, LEAST)
         solve_envelope(loops, work.a, work.y)
         wrong = 0
@@ -270,6 +271,7 @@ def project_on_closed_directions(loops, work):
             wrong += 1
         if wrong == loops.nv:
             break
+        damping = NEARLY_CLOSED
     for v in range(loops.nv):
         if is_held(loops, v):
             work.target[v] = 0.0
