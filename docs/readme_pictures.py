@@ -118,7 +118,7 @@ def draw_page() -> Iterator[Image.Image]:
             tab.wait_for_timeout(150)
             return Image.open(io.BytesIO(tab.screenshot()))
 
-        for k, away in ((0, (30, 20)), (2, (10, 60))):
+        for k, away in ((1, (-60, 15)), (2, (10, 60))):
             at = find_arrow(k)
             tab.mouse.move(*at)
             tab.mouse.down()
