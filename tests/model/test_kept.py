@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.model.model import MOST, keep_answers, store_answer
+from kempe.model.model import MOST, bind_call, keep_answers, store_answer
 
 
 def test_once_for_each_system_and_keys():
@@ -40,6 +40,19 @@ def test_none_and_errors():
         with pytest.raises(ValueError, match="no") as caught:
             failing(s)
         assert caught.value.__context__ is None
+
+
+def test_a_prepared_call_is_made_once_for_each_verb_and_key():
+    made = []
+
+    def make():
+        made.append(len(made))
+        return made[-1]
+
+    s = kempe.load("four_bar")
+    asked = [("ik", 1), ("ik", 2), ("ik_all", 1), ("ik", 1), ("ik_all", 1)]
+    assert [bind_call(s, verb, key, make) for verb, key in asked] == [0, 1, 2, 0, 2]
+    assert made == [0, 1, 2]
 
 
 def test_the_oldest_go_first():

@@ -32,7 +32,7 @@ from kempe.arguments import explain_errors
 from kempe.arrays import read_reals
 from kempe.errors import InputError, UnsupportedError
 from kempe.inverse.closed_forms.chain_lines import Lines, find_chain_lines
-from kempe.inverse.closed_forms.structure import Axes, find_meeting_point, is_spherical_triple
+from kempe.inverse.closed_forms.structure import find_meeting_point, is_spherical_triple
 from kempe.kernels.forward.table_layout import TURN
 from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
@@ -111,13 +111,12 @@ def recognise_arm(lines: Lines, reference: ArrayLike | None = None) -> Arm | str
         return f"it has {format_count(len(lines), 'joint')}, not seven"
     if np.any(lines.kinds != TURN):
         return "not all of its joints turn"
-    axes = Axes(lines.kinds, lines.h, lines.o)
-    if not is_spherical_triple(axes, 0):
+    if not is_spherical_triple(lines, 0):
         return "its first three axes do not meet in a point"
-    if not is_spherical_triple(axes, 4):
+    if not is_spherical_triple(lines, 4):
         return "its last three axes do not meet in a point"
-    S = find_meeting_point(axes, SHOULDER)
-    W = find_meeting_point(axes, WRIST)
+    S = find_meeting_point(lines, SHOULDER)
+    W = find_meeting_point(lines, WRIST)
     assert S is not None and W is not None
     h = lines.h[ELBOW]
     o = lines.o[ELBOW]

@@ -24,7 +24,6 @@ from kempe.inverse.closed_forms.plan import (
 from kempe.inverse.closed_forms.problem import read_held_joints
 from kempe.inverse.closed_forms.structure import (
     EXACT,
-    Axes,
     Strategy,
     are_parallel,
     compute_line_distance,
@@ -60,56 +59,55 @@ def list_axis_relations(lines: Lines) -> tuple[str, ...]:
     Structures are those that `structure.EXACT` accepts; what misses one by less than `NEAR` is
     reported with its size.
     """
-    axes = Axes(lines.kinds, lines.h, lines.o)
     n = len(lines)
     i = 0
     out: list[str] = []
     if n == 1:
         return (f"{lines.names[0]} is the only joint",)
     while i < n - 1:
-        end = _find_last_parallel(axes, i)
+        end = _find_last_parallel(lines, i)
         if end > i:
-            out += _describe_parallel_joints(lines, axes, i, end)
+            out += _describe_parallel_joints(lines, i, end)
             i = end
             continue
-        end = _find_last_meeting(axes, i)
+        end = _find_last_meeting(lines, i)
         if end > i + 1:
-            out.append(_describe_ball(lines, axes, i, end))
+            out.append(_describe_ball(lines, i, end))
             i = end
             continue
-        out.append(_describe_pair(lines, axes, i))
-        missed = _describe_near_ball(lines, axes, i)
+        out.append(_describe_pair(lines, i))
+        missed = _describe_near_ball(lines, i)
         if missed:
             out.append(missed)
         i += 1
     return tuple(out)
 
 
-def _find_last_parallel(axes: Axes, i: int) -> int:
+def _find_last_parallel(lines: Lines, i: int) -> int:
     """Find the last of the consecutive axes from i that are parallel."""
     j = i
-    while j + 1 < len(axes.kinds) and are_parallel(axes.h[j], axes.h[j + 1]):
+    while j + 1 < len(lines) and are_parallel(lines.h[j], lines.h[j + 1]):
         j += 1
     return j
 
 
-def _find_last_meeting(axes: Axes, i: int) -> int:
+def _find_last_meeting(lines: Lines, i: int) -> int:
     """Find the last of the consecutive turns from i that meet in one point.
 
     Neighbours are not parallel.
     """
     j = i + 1
-    while j + 1 < len(axes.kinds) and is_spherical_triple(axes, j - 1):
-        if find_meeting_point(axes, tuple(range(i, j + 2))) is None:
+    while j + 1 < len(lines) and is_spherical_triple(lines, j - 1):
+        if find_meeting_point(lines, tuple(range(i, j + 2))) is None:
             break
         j += 1
     return j
 
 
-def _describe_parallel_joints(lines: Lines, axes: Axes, first: int, last: int) -> list[str]:
+def _describe_parallel_joints(lines: Lines, first: int, last: int) -> list[str]:
     """Describe consecutive joints of one direction."""
-    turns = [i for i in range(first, last + 1) if axes.kinds[i] != SLIDE]
-    slides = [i for i in range(first, last + 1) if axes.kinds[i] == SLIDE]
+    turns = [i for i in range(first, last + 1) if lines.kinds[i] != SLIDE]
+    slides = [i for i in range(first, last + 1) if lines.kinds[i] == SLIDE]
     sliding = join_words([lines.names[i] for i in slides]) if slides else ""
     verb = "slides" if len(slides) == 1 else "slide"
     if not turns:
@@ -117,7 +115,7 @@ def _describe_parallel_joints(lines: Lines, axes: Axes, first: int, last: int) -
     names = join_words([lines.names[i] for i in turns])
     if len(turns) == 1:
         return [f"{sliding} {verb} along the axis of {names}"]
-    gaps = [compute_line_distance(axes, i, j) for i, j in zip(turns, turns[1:], strict=False)]
+    gaps = [compute_line_distance(lines, i, j) for i, j in zip(turns, turns[1:], strict=False)]
     if max(gaps) <= EXACT:
         fact = f"the axes of {names} are one line"
         them = "it"
@@ -133,26 +131,26 @@ def _describe_parallel_joints(lines: Lines, axes: Axes, first: int, last: int) -
     return out
 
 
-def _describe_ball(lines: Lines, axes: Axes, first: int, last: int) -> str:
+def _describe_ball(lines: Lines, first: int, last: int) -> str:
     """Describe consecutive turns that meet in one point."""
     names = join_words([lines.names[i] for i in range(first, last + 1)])
-    right = all(abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT for i in range(first, last))
+    right = all(abs(float(lines.h[i] @ lines.h[i + 1])) <= EXACT for i in range(first, last))
     return f"the axes of {names} meet in one point" + (
         ", neighbours at right angles" if right else ""
     )
 
 
-def _describe_pair(lines: Lines, axes: Axes, i: int) -> str:
+def _describe_pair(lines: Lines, i: int) -> str:
     """Describe two neighbouring axes that are not parallel."""
     a = lines.names[i]
     b = lines.names[i + 1]
-    angle, sine = _compute_angle(axes.h[i], axes.h[i + 1])
+    angle, sine = _compute_angle(lines.h[i], lines.h[i + 1])
     at = (
         "right angles"
-        if abs(float(axes.h[i] @ axes.h[i + 1])) <= EXACT
+        if abs(float(lines.h[i] @ lines.h[i + 1])) <= EXACT
         else f"{math.degrees(angle):.4g} degrees"
     )
-    sliding = axes.kinds[i] == SLIDE, axes.kinds[i + 1] == SLIDE
+    sliding = lines.kinds[i] == SLIDE, lines.kinds[i + 1] == SLIDE
     if sine <= NEAR:
         what = "the directions" if any(sliding) else "the axes"
         return f"{what} of {a} and {b} are {sine:.2g} rad from parallel: {AS_IT_IS}"
@@ -161,7 +159,7 @@ def _describe_pair(lines: Lines, axes: Axes, i: int) -> str:
     if any(sliding):
         slide, turn = (a, b) if sliding[0] else (b, a)
         return f"{slide} slides at {at} to the axis of {turn}"
-    gap = compute_line_distance(axes, i, i + 1)
+    gap = compute_line_distance(lines, i, i + 1)
     if gap <= EXACT:
         return f"the axes of {a} and {b} meet at {at}"
     if gap <= NEAR:
@@ -169,22 +167,22 @@ def _describe_pair(lines: Lines, axes: Axes, i: int) -> str:
     return f"the axes of {a} and {b} pass each other at {at}, {_format_metres(lines, gap)} apart"
 
 
-def _describe_near_ball(lines: Lines, axes: Axes, i: int) -> str:
+def _describe_near_ball(lines: Lines, i: int) -> str:
     """Describe three axes that nearly meet in one point; '' for others."""
-    if i + 2 >= len(axes.kinds) or np.any(axes.kinds[i : i + 3] == SLIDE):
+    if i + 2 >= len(lines) or np.any(lines.kinds[i : i + 3] == SLIDE):
         return ""
     points: list[Array] = []
     for j in (i, i + 1):
         if (
-            _compute_angle(axes.h[j], axes.h[j + 1])[1] <= NEAR
-            or compute_line_distance(axes, j, j + 1) > NEAR
+            _compute_angle(lines.h[j], lines.h[j + 1])[1] <= NEAR
+            or compute_line_distance(lines, j, j + 1) > NEAR
         ):
             return ""
-        points.append(_find_foot(axes, j + 1 if j == i else j, j if j == i else j + 1))
+        points.append(_find_foot(lines, j + 1 if j == i else j, j if j == i else j + 1))
     gap = max(
         float(np.linalg.norm(points[1] - points[0])),
-        compute_line_distance(axes, i, i + 1),
-        compute_line_distance(axes, i + 1, i + 2),
+        compute_line_distance(lines, i, i + 1),
+        compute_line_distance(lines, i + 1, i + 2),
     )
     if not EXACT < gap <= NEAR:
         return ""
@@ -192,11 +190,11 @@ def _describe_near_ball(lines: Lines, axes: Axes, i: int) -> str:
     return f"the axes of {names} miss a common point by {_format_metres(lines, gap)}: {AS_IT_IS}"
 
 
-def _find_foot(axes: Axes, i: int, j: int) -> Array:
+def _find_foot(lines: Lines, i: int, j: int) -> Array:
     """Find the point (3,) of axis i nearest to axis j."""
-    n = np.cross(axes.h[i], axes.h[j])
-    d = axes.o[j] - axes.o[i]
-    return axes.o[i] + axes.h[i] * (np.cross(d, axes.h[j]) @ n) / (n @ n)
+    n = np.cross(lines.h[i], lines.h[j])
+    d = lines.o[j] - lines.o[i]
+    return lines.o[i] + lines.h[i] * (np.cross(d, lines.h[j]) @ n) / (n @ n)
 
 
 def _compute_angle(g: Array, h: Array) -> tuple[float, float]:

@@ -19,7 +19,6 @@ from kempe.inverse.closed_forms.chain_lines import Lines, compute_line_placement
 from kempe.inverse.closed_forms.plan import ChainPlan
 from kempe.inverse.closed_forms.structure import (
     EXACT,
-    Axes,
     are_parallel,
     do_axes_meet,
     is_spherical_triple,
@@ -93,26 +92,25 @@ def recognise_kind(plan: ChainPlan, planar: bool) -> Kind | None:
     if planar:
         bends = (n, plan.task) in ((2, "position"), (2, "pose"), (3, "pose"))
         return Kind(PLANAR) if bends and len(turns) == n else None
-    axes = Axes(lines.kinds, lines.h, lines.o)
-    if all(are_parallel(h, axes.h[0]) for h in axes.h):  # as of a SCARA
+    if all(are_parallel(h, lines.h[0]) for h in lines.h):  # as of a SCARA
         bends = (len(turns), plan.task) in ((2, "position"), (3, "pose")) and n <= len(turns) + 1
         return Kind(PLANAR) if bends else None
     if len(turns) < n:
-        return _recognise_sliding_kind(plan, axes)
+        return _recognise_sliding_kind(plan)
     if (
         n != 6
         or plan.task != "pose"
-        or are_parallel(axes.h[0], axes.h[1])
-        or not are_parallel(axes.h[1], axes.h[2])
+        or are_parallel(lines.h[0], lines.h[1])
+        or not are_parallel(lines.h[1], lines.h[2])
     ):
         return None
-    three = are_parallel(axes.h[2], axes.h[3])
-    wrist = is_spherical_triple(axes, 3) or (
-        three and not are_parallel(axes.h[3], axes.h[4]) and do_axes_meet(axes, 4, 5)
+    three = are_parallel(lines.h[2], lines.h[3])
+    wrist = is_spherical_triple(lines, 3) or (
+        three and not are_parallel(lines.h[3], lines.h[4]) and do_axes_meet(lines, 4, 5)
     )
     if not wrist:
         return None
-    kind = Kind(SPATIAL, three and not is_spherical_triple(axes, 3))
+    kind = Kind(SPATIAL, three and not is_spherical_triple(lines, 3))
     _, h, o = compute_line_placements(lines, np.zeros((1, n)))
     return (
         kind
@@ -121,21 +119,23 @@ def recognise_kind(plan: ChainPlan, planar: bool) -> Kind | None:
     )
 
 
-def _recognise_sliding_kind(plan: ChainPlan, axes: Axes) -> Kind | None:
+def _recognise_sliding_kind(plan: ChainPlan) -> Kind | None:
     """Recognise an arm of six joints with slides before a spherical wrist."""
-    if len(axes.kinds) != 6 or plan.task != "pose" or not is_spherical_triple(axes, 3):
+    lines = plan.lines
+    if len(lines) != 6 or plan.task != "pose" or not is_spherical_triple(lines, 3):
         return None
-    before = axes.kinds[:3]
+    before = lines.kinds[:3]
     if np.all(before == SLIDE):
         return Kind(WRIST)
-    across = not are_parallel(axes.h[0], axes.h[1]) and abs(float(axes.h[1] @ axes.h[2])) <= EXACT
+    across = (
+        not are_parallel(lines.h[0], lines.h[1]) and abs(float(lines.h[1] @ lines.h[2])) <= EXACT
+    )
     return Kind(SLIDING) if before.tolist() == [TURN, TURN, SLIDE] and across else None
 
 
 def _recognise_seven_turns(lines: Lines) -> Kind | None:
     """Recognise an arm of seven turns with a spherical shoulder and a spherical wrist."""
-    axes = Axes(lines.kinds, lines.h, lines.o)
-    if not (is_spherical_triple(axes, 0) and is_spherical_triple(axes, 4)):
+    if not (is_spherical_triple(lines, 0) and is_spherical_triple(lines, 4)):
         return None
     _, h, o = compute_line_placements(lines, np.zeros((1, 7)))
     return (

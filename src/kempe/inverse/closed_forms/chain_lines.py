@@ -15,6 +15,7 @@ from kempe.answers.targets import Z_AXIS, make_rotations_along
 from kempe.errors import UnsupportedError
 from kempe.inverse.chain.serial_chain import find_chain
 from kempe.inverse.chain.span import Span, even_out_offsets
+from kempe.inverse.closed_forms.structure import Axes, compute_line_distance
 from kempe.kernels.forward.table_layout import (
     BALL,
     COS_OFFSET,
@@ -47,20 +48,14 @@ LITTLE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
-    """The joint lines of a serial chain T(theta) = E_1 ... E_n M.
+class Lines(Axes):
+    """The joint axes of a serial chain T(theta) = E_1 ... E_n M, with its tip and coordinates.
 
-    Each joint is a turn about a line or a slide along its direction.
-
-    `kinds` (n,) TURN or SLIDE, `h` (n, 3) unit directions, `o` (n, 3) points, `tip` (4, 4) the pose
-    M at theta = 0, all seen from `origin` (3,) in the ground's axes and measured in `length` [m].
-    theta = multiplier q + offset, slides divided by the length. `limits` (2, n), `q_index` and
-    `v_index` (n,) into the system's q and velocities, `names`.
+    `tip` (4, 4) is the pose M at theta = 0. All are seen from `origin` (3,) in the ground's axes and
+    measured in `length` [m]. theta = multiplier q + offset, slides divided by the length. `limits`
+    (2, n), `q_index` and `v_index` (n,) into the system's q and velocities, `names`.
     """
 
-    kinds: np.ndarray
-    h: Array
-    o: Array
     tip: Array
     offset: Array
     multiplier: Array
@@ -74,9 +69,6 @@ class Lines:
     even: Lines | None = None
     """The same axes with lengths of one size, by which freedoms are counted where lengths are far
     apart."""
-
-    def __len__(self) -> int:
-        return len(self.kinds)
 
     def compute_theta(self, q: Array) -> Array:
         """Compute the variables (..., n) of the lines at coordinates q (..., n) of the chain."""
@@ -198,7 +190,8 @@ def _choose_unit(
     origin = Spectrum(across.sum(axis=0)).solve_least_squares(total, PARALLEL)
     free = o - origin
     away = np.linalg.norm(free - h * np.sum(h * free, axis=-1)[:, None], axis=-1)
-    steps = [_compute_distance(h[i], o[i], h[i + 1], o[i + 1]) for i in range(len(h) - 1)]
+    axes = Axes(kinds[turning], h, o)
+    steps = [compute_line_distance(axes, i, i + 1) for i in range(len(axes) - 1)]
     size = max(sum(steps), float(away.max()))
     noise = NOISE * max(float(np.linalg.norm(x)) for x in (free, origin))
     alone = not (size > noise and math.isfinite(size))
@@ -216,16 +209,6 @@ def _estimate_travel(ranges: Array, offsets: Array, tip: Array) -> float:
     """Estimate how far slides may move: by their limits, or else by distances of the chain."""
     by_limits = float(np.where(np.isfinite(ranges), ranges, 0.0).max())
     return by_limits if by_limits > 0.0 else max(float(np.linalg.norm(x)) for x in (*offsets, tip))
-
-
-def _compute_distance(h: Array, o: Array, g: Array, p: Array) -> float:
-    """Compute the distance between two lines."""
-    n = np.cross(h, g)
-    d = p - o
-    size = float(np.linalg.norm(n))
-    if size < 1e-9:
-        return float(np.linalg.norm(d - h * (h @ d)))
-    return abs(float(n @ d)) / size
 
 
 @keep_answers

@@ -24,7 +24,7 @@ from kempe.inverse.closed_forms.chain_lines import (
     compute_motion,
     find_chain_lines,
 )
-from kempe.inverse.closed_forms.structure import Axes, Strategy, find_strategies
+from kempe.inverse.closed_forms.structure import Axes, Strategy, find_strategies, join_axes
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.compiled import candidates
@@ -125,12 +125,9 @@ METHODS = (SIDE_BY_SIDE, CLOSED_FORM, ELIMINATION, SEARCH)
 
 
 @dataclass(frozen=True, eq=False)
-class Extra:
+class Extra(Axes):
     """Auxiliary lines that complete a chain to six joints; their roles say whether they move."""
 
-    kinds: np.ndarray
-    h: Array
-    o: Array
     roles: np.ndarray
 
 
@@ -210,7 +207,7 @@ def sample_free_motions(lines: Lines, extra: Extra, count: int) -> Array:
     rng = np.random.default_rng(13)
     M = lines.tip
     out = np.tile(np.eye(4), (count, 1, 1))
-    for kind, h, o, role in zip(*_unpack_extra(extra), strict=True):
+    for kind, h, o, role in zip(extra.kinds, extra.h, extra.o, extra.roles, strict=True):
         if role == A.FREE:
             ways = rng.uniform(-1.0, 1.0, count) * (1.0 if kind == SLIDE else np.pi)
             out = out @ np.array([compute_motion(int(kind), h, o, float(way)) for way in ways])
@@ -240,11 +237,11 @@ def make_free_lines(lines: Lines, task: str, planar: bool) -> Extra:
     )
 
 
-def compute_extra_screws(extra: Extra, tip: Array) -> Array:
+def compute_extra_screws(extra: Axes, tip: Array) -> Array:
     """Compute the constant screws (6, k) of auxiliary lines in the tip's frame."""
     R = tip[:3, :3].T
     p = tip[:3, 3]
-    J = np.zeros((6, len(extra.kinds)))
+    J = np.zeros((6, len(extra)))
     for i, kind in enumerate(extra.kinds):
         if kind == SLIDE:
             J[:3, i] = R @ extra.h[i]
@@ -266,18 +263,18 @@ def iterate_resting_lines(
     lines: Lines, free: Extra, unknown: list[int], planar: bool
 ) -> Iterator[Extra]:
     """Iterate over sets of lines at rest that complete a chain to six, best conditioned first."""
-    count = 6 - len(unknown) - len(free.kinds)
+    count = 6 - len(unknown) - len(free)
     if count == 0:
         yield Extra(
             np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.int64)
         )
         return
-    kinds, h, o = _collect_candidate_lines(lines, unknown, planar)
+    candidate_lines = _collect_candidate_lines(lines, unknown, planar)
     rng = np.random.default_rng(5)
     samples = compute_jacobians(lines, sample_variables(lines, rng, 5))[:, :, unknown]
     at_tip = compute_extra_screws(free, lines.tip)
-    pool = compute_extra_screws(Extra(kinds, h, o, kinds), lines.tip)
-    choices = list(itertools.combinations(range(len(kinds)), count))
+    pool = compute_extra_screws(candidate_lines, lines.tip)
+    choices = list(itertools.combinations(range(len(candidate_lines)), count))
     J = np.zeros((len(choices), len(samples), 6, 6))
     J[..., : len(unknown)] = samples
     J[..., len(unknown) : 6 - count] = at_tip
@@ -287,19 +284,21 @@ def iterate_resting_lines(
     best = max(s for s, _ in scored)
     good = [(s, c) for s, c in scored if s > 0.05 * best]
     for _, choice in sorted(good, key=lambda pair: (sum(pair[1]), -pair[0])):
-        at = list(choice)
-        yield Extra(kinds[at], h[at], o[at], np.full(len(at), A.REST))
+        yield _give_roles(candidate_lines.select_lines(choice), np.full(count, A.REST))
 
 
-def _collect_candidate_lines(
-    lines: Lines, unknown: list[int], planar: bool
-) -> tuple[np.ndarray, Array, Array]:
+def _give_roles(axes: Axes, roles: np.ndarray) -> Extra:
+    """Return lines as auxiliary lines with these roles."""
+    return Extra(axes.kinds, axes.h, axes.o, roles)
+
+
+def _collect_candidate_lines(lines: Lines, unknown: list[int], planar: bool) -> Axes:
     """Collect candidates for auxiliary lines: turns through two points, and slides."""
     if planar:
         R = np.eye(3)
         at = np.zeros((6, 3))
         at[3] = 0.4, 0.7, 0.0
-        return np.array([SLIDE, TURN, TURN, TURN, SLIDE, SLIDE]), R[[2, 0, 1, 2, 0, 1]], at
+        return Axes(np.array([SLIDE, TURN, TURN, TURN, SLIDE, SLIDE]), R[[2, 0, 1, 2, 0, 1]], at)
     turning = [i for i in unknown if lines.kinds[i] != SLIDE]
     last = turning[-1] if turning else unknown[-1]
     h = lines.h[last]
@@ -309,7 +308,9 @@ def _collect_candidate_lines(
     on = lines.o[last] + 0.4 * h
     off = lines.o[last] + 0.3 * h + 0.5 * u + 0.35 * w
     kinds = np.array([TURN, TURN, SLIDE, SLIDE, SLIDE, TURN, TURN, TURN])
-    return kinds, np.array([u, w, h, u, w, h, u, w]), np.array([on, on, on, on, on, off, off, off])
+    return Axes(
+        kinds, np.array([u, w, h, u, w, h, u, w]), np.array([on, on, on, on, on, off, off, off])
+    )
 
 
 def count_chain_freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
@@ -318,11 +319,11 @@ def count_chain_freedoms(lines: Lines, free: Extra, unknown: list[int]) -> int:
     At random configurations.
     """
     if not unknown:
-        return len(free.kinds)
+        return len(free)
     if lines.even is not None:
         lines, free = (
             lines.even,
-            replace(free, o=np.tile(lines.even.tip[:3, 3], (len(free.kinds), 1))),
+            replace(free, o=np.tile(lines.even.tip[:3, 3], (len(free), 1))),
         )
     T, h, o = compute_line_placements(lines, sample_variables(lines, np.random.default_rng(7), 4))
     X = T @ spatial.inverse(lines.tip)
@@ -367,9 +368,7 @@ def make_plan(
         plan = _make_elimination_plan(lines, task, unknown, locked, extra)
         if plan is not None:
             return plan
-    return pack_plan(
-        lines, task, locked, Extra(*_unpack_extra(make_free_lines(lines, task, planar))), None
-    )
+    return pack_plan(lines, task, locked, make_free_lines(lines, task, planar), None)
 
 
 def find_closed_form_plan(
@@ -399,12 +398,7 @@ def _iterate_completions(
     """Iterate over auxiliary lines that complete the unknown joints to six."""
     free = make_free_lines(lines, task, planar)
     for rest in iterate_resting_lines(lines, free, unknown, planar):
-        extra = Extra(
-            *(
-                np.concatenate([a, b])
-                for a, b in zip(_unpack_extra(free), _unpack_extra(rest), strict=True)
-            )
-        )
+        extra = _give_roles(join_axes(free, rest), np.concatenate([free.roles, rest.roles]))
         if but is None or not (np.array_equal(extra.h, but.h) and np.array_equal(extra.o, but.o)):
             yield extra
 
@@ -417,7 +411,7 @@ def _make_elimination_plan(
     from kempe.kernels.compiled import elimination_score
 
     theta = sample_variables(lines, np.random.default_rng(11), 1)[0]
-    places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
+    places = [*unknown, *range(len(lines), len(lines) + len(extra))]
     axes, _ = compute_carried_lines(lines, locked, extra, theta)
     scores = np.zeros(FORMULATIONS)
     elimination_score.score_formulations(
@@ -433,11 +427,6 @@ def _make_elimination_plan(
 # ---- kernels, and arrays packed for them
 
 
-def _unpack_extra(extra: Extra) -> tuple[np.ndarray, Array, Array, np.ndarray]:
-    """Unpack the arrays of auxiliary lines."""
-    return extra.kinds, extra.h, extra.o, extra.roles
-
-
 def _find_common_strategies(
     lines: Lines, unknown: list[int], locked: tuple[int, ...], extra: Extra
 ) -> list[Strategy]:
@@ -445,12 +434,12 @@ def _find_common_strategies(
     rng = np.random.default_rng(11)
     variants = list[Axes]()
     goals = list[list[Array]]()
-    places = [*unknown, *range(len(lines), len(lines) + len(extra.kinds))]
+    places = [*unknown, *range(len(lines), len(lines) + len(extra))]
     for _ in range(2 if locked else 1):
         theta = sample_variables(lines, rng, 4)
         theta[1:, list(locked)] = theta[0, list(locked)]
         axes, shift = compute_carried_lines(lines, locked, extra, theta[0])
-        variants.append(Axes(axes.kinds[places], axes.h[places], axes.o[places]))
+        variants.append(axes.select_lines(places))
         T = compute_line_placements(lines, theta[1:])[0] @ sample_free_motions(
             lines, extra, len(theta) - 1
         )
@@ -473,15 +462,15 @@ def compute_carried_lines(
 ) -> tuple[Axes, Array]:
     """Compute all lines as locked joints carry them, and the motion (4, 4) of all of these."""
     X = np.eye(4)
-    kinds = np.concatenate([lines.kinds, extra.kinds])
-    h = np.vstack([lines.h, extra.h])
-    o = np.vstack([lines.o, extra.o])
-    for i in range(len(kinds)):
+    axes = join_axes(lines, extra)
+    h = axes.h
+    o = axes.o
+    for i in range(len(axes)):
         if i in locked:
-            X = X @ compute_motion(kinds[i], h[i], o[i], theta[i])
+            X = X @ compute_motion(axes.kinds[i], h[i], o[i], theta[i])
         else:
             h[i], o[i] = X[:3, :3] @ h[i], X[:3, :3] @ o[i] + X[:3, 3]
-    return Axes(kinds, h, o), X
+    return axes, X
 
 
 def compute_outer_terms(plan: ChainPlan, theta: Array, X: Array) -> Array:
@@ -495,7 +484,7 @@ def compute_outer_terms(plan: ChainPlan, theta: Array, X: Array) -> Array:
     way = plan.way
     assert way is not None
     axes, shift = compute_carried_lines(plan.lines, plan.locked, plan.extra, theta)
-    six = axes.reorder_lines(way.order)
+    six = axes.select_lines(way.order)
     goal = X @ spatial.inverse(plan.lines.tip) @ spatial.inverse(shift)
     out = np.empty(12)
     flat = np.ascontiguousarray(goal[:3]).ravel()
@@ -518,7 +507,8 @@ def pack_plan(
     Layout: `kempe.kernels.closed_form.analytic_layout`; `forms` are orders and ways to eliminate.
     """
     n = len(lines)
-    k = len(extra.kinds)
+    k = len(extra)
+    axes = join_axes(lines, extra)
     ints = np.zeros(A.PLAN_HEADER + n + k + n, dtype=np.int64)
     ints[[A.N_LINES, A.N_JOINTS, A.N_LOCKED]] = n + k, n, len(locked)
     order = () if forms is None else forms[0]
@@ -531,10 +521,9 @@ def pack_plan(
     if order:
         ints[A.ORDER : A.ORDER + 6] = order
         ints[A.ROLES : A.ROLES + 6] = [A.JOINT if j < n else extra.roles[j - n] for j in order]
-    ints[A.PLAN_HEADER : A.PLAN_HEADER + n + k] = [*lines.kinds, *extra.kinds]
+    ints[A.PLAN_HEADER : A.PLAN_HEADER + n + k] = axes.kinds
     ints[A.PLAN_HEADER + n + k :] = [int(i not in locked) for i in range(n)]
     head = np.concatenate([lines.tip[:3].ravel(), TASKS[task], [lines.length], lines.origin])
-    axes = Axes(np.zeros(n + k), np.vstack([lines.h, extra.h]), np.vstack([lines.o, extra.o]))
     joints = np.column_stack([lines.offset, lines.multiplier, *lines.limits]).ravel()
     floats = np.concatenate([head, axes.pack_lines(), joints])
     method = SEARCH if forms is None else ELIMINATION
@@ -627,7 +616,7 @@ def make_locked_plan(lines: Lines, task: str, fixed: tuple[int, ...], planar: bo
     free = make_free_lines(lines, task, planar)
     unknown = [i for i in range(len(lines)) if i not in fixed]
     rank = count_chain_freedoms(lines, free, unknown)
-    extra = len(unknown) + len(free.kinds) - rank
+    extra = len(unknown) + len(free) - rank
     if extra <= 0:
         return make_plan(lines, task, fixed, planar)
     best: tuple[tuple[float, ...], ChainPlan] | None = None

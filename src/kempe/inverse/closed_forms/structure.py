@@ -1,8 +1,8 @@
-"""Geometry of six joint axes, and the closed forms that it allows."""
+"""Geometry of joint axes, and the closed forms that the geometry of six axes allows."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,23 +38,39 @@ TURNED_OVER = 40
 
 @dataclass(frozen=True, eq=False)
 class Axes:
-    """Six lines: kinds (6,), directions (6, 3), points (6, 3)."""
+    """Joint axes as lines.
+
+    Each joint is a turn about a line or a slide along its direction: `kinds` (n,) TURN or SLIDE,
+    `h` (n, 3) unit directions, `o` (n, 3) points.
+    """
 
     kinds: np.ndarray
     h: Array
     o: Array
 
-    def reorder_lines(self, order: tuple[int, ...]) -> Axes:
-        """Return the lines in another order."""
-        at = list(order)
+    def __len__(self) -> int:
+        return len(self.kinds)
+
+    def select_lines(self, places: Sequence[int]) -> Axes:
+        """Return the lines at these places, in their order."""
+        at = list(places)
         return Axes(self.kinds[at], self.h[at], self.o[at])
 
     def pack_lines(self) -> Array:
         """Pack the lines as kernels read them."""
-        out = np.zeros((len(self.kinds), 8))
+        out = np.zeros((len(self), 8))
         out[:, :3] = self.h
         out[:, 4:7] = self.o
         return out.ravel()
+
+
+def join_axes(first: Axes, second: Axes) -> Axes:
+    """Join two sets of lines, in new arrays."""
+    return Axes(
+        np.concatenate([first.kinds, second.kinds]),
+        np.concatenate([first.h, second.h]),
+        np.concatenate([first.o, second.o]),
+    )
 
 
 @dataclass(frozen=True)
@@ -151,11 +167,11 @@ def can_swap_lines(axes: Axes, i: int) -> bool:
 
 def iterate_orders(variants: list[Axes]) -> Iterator[tuple[int, ...]]:
     """Iterate over orders of the lines that describe the same chain, the given one first."""
-    n = len(variants[0].kinds)
+    n = len(variants[0])
     seen = [tuple(range(n))]
     for order in seen:
         yield order
-        now = [axes.reorder_lines(order) for axes in variants]
+        now = [axes.select_lines(order) for axes in variants]
         for i in range(n - 1):
             other = (*order[:i], order[i + 1], order[i], *order[i + 2 :])
             if (
@@ -175,7 +191,7 @@ def find_strategies(variants: list[Axes], goals: list[Any], at_rest: set[int]) -
     """
     found: list[tuple[int, Strategy]] = []
     for order in iterate_orders(variants):
-        now = [axes.reorder_lines(order) for axes in variants]
+        now = [axes.select_lines(order) for axes in variants]
         for k in range(4):
             outer = {order[(k + 3 + i) % 6] for i in range(3)}
             for what, keeps in ((POINT, is_spherical_triple), (PLANE, is_planar_triple)):
