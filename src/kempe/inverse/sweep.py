@@ -613,7 +613,7 @@ def _explain_no_arm(problem: Problem) -> str | None:
     system = problem.system
     frame = str(problem.frame)
     parameter, reference = problem.parameter
-    joints = ", ".join(find_chain_lines(system, frame, Z_AXIS).names)
+    joints = ", ".join(_find_lines(problem).names)
     if parameter not in (None, ARM_ANGLE):
         return f"joint {parameter!r} is named as the parameter"
     if problem.task[0] != "pose" or problem.known:
@@ -628,18 +628,14 @@ def _explain_no_joint(problem: Problem) -> str | None:
 
 def sweep_arm_angle(problem: Problem) -> Sweep:
     """Sweep the branches of an arm over its arm angle, in closed form."""
-    over = _make_sweep_problem(problem)
-    arm = require_arm(problem.system, over.frame, problem.parameter[1])
-    return _make_sweep(over, ArmCurves(over, arm), problem.options["n"])
+    arm = require_arm(problem.system, str(problem.frame), problem.parameter[1])
+    return _make_sweep(problem, ArmCurves(problem, arm))
 
 
 def sweep_joint(problem: Problem) -> Sweep:
     """Sweep the branches over a joint, from solutions at many of its values."""
-    over = _make_sweep_problem(problem)
     points = _check_sample_count(USUAL.complete_budget(problem.budget).points)
-    return _make_sweep(
-        over, _trace_joint_curves(over, problem.parameter[0], points), problem.options["n"]
-    )
+    return _make_sweep(problem, _trace_joint_curves(problem, points))
 
 
 SOLVERS = (
@@ -659,25 +655,6 @@ SOLVERS = (
 """Who answers for the solutions over a parameter."""
 
 
-def _make_sweep_problem(problem: Problem) -> SweepProblem:
-    (task, axis) = problem.task
-    given = problem.options["given"]
-    lines = find_chain_lines(problem.system, str(problem.frame), Z_AXIS)
-    return SweepProblem(
-        problem.system,
-        str(problem.frame),
-        lines,
-        task,
-        axis,
-        problem.targets[0],
-        given,
-        problem.options["base"],
-        dict(problem.known),
-        problem.start is None,
-        find_time_limit(USUAL),
-    )
-
-
 def _refuse_no_rotation(R: Array) -> None:
     check_poses(spatial.pose(R), "target")
 
@@ -690,78 +667,83 @@ def _check_sample_count(n: object) -> int:
     return int(n)
 
 
-# ---- the problem, and the curves of its solutions
+# ---- the joints that are held, and the solutions at values of the parameter
 
 
-@dataclass(frozen=True, eq=False)
-class SweepProblem:
-    """System, frame, target and parameter of a sweep over the solutions of a redundant chain."""
+def _find_lines(problem: Problem) -> Lines:
+    """Find the lines of the chain of a problem, with the tip as the frame has it."""
+    return find_chain_lines(problem.system, str(problem.frame), Z_AXIS)
 
-    system: Model
-    frame: str
-    lines: Lines
-    task: str
-    axis: tuple[float, float, float]
-    target: Array
-    given: Array
-    near: Array
-    fixed: dict[str, Array]
-    anywhere: bool
-    time: TimeLimit = field(compare=False)
 
-    def list_locked_joints(self, fixed: Mapping[str, Any]) -> tuple[int, ...]:
-        """List the joints that `ik_all` holds, with these `fixed`."""
-        lines = find_chain_lines(self.system, self.frame, self.axis)
-        return find_plan(self.system, self.frame, lines, self.task, self.axis, tuple(fixed)).locked
+def _list_locked_joints(problem: Problem, fixed: Mapping[str, Any]) -> tuple[int, ...]:
+    """List the joints that `ik_all` holds, with these `fixed`."""
+    task, axis = problem.task
+    frame = str(problem.frame)
+    lines = find_chain_lines(problem.system, frame, axis)
+    return find_plan(problem.system, frame, lines, task, axis, tuple(fixed)).locked
 
-    def choose_configuration(self) -> Array:
-        """Choose the configuration (nq,) where unnamed joints are held: near, or on target."""
-        if self.anywhere:
-            found = ik_all(
-                self.system, self.given, self.frame, task=(self.task, self.axis), fixed=self.fixed
-            )
-            if found:
-                return found.q[0]
-        q = self.near.copy()
-        at = self.lines.q_index
-        q[at] = np.clip(q[at], *self.lines.limits)
-        return q
 
-    def solve_at_values(
-        self, name: str, values: Array, fixed: Mapping[str, Any], time: TimeLimit | None = None
-    ) -> Any:
-        """Solve `ik_all` with a joint held at values () or (m,), in the remaining time."""
-        budget = (
-            None
-            if time is None or time.remaining_seconds is None
-            else Budget(time_limit=SHARE * time.remaining_seconds)
+def _choose_held_configuration(problem: Problem) -> Array:
+    """Choose the configuration (nq,) where unnamed joints are held: near, or on target."""
+    if problem.start is None:
+        found = ik_all(
+            problem.system,
+            problem.options["given"],
+            str(problem.frame),
+            task=problem.task,
+            fixed=problem.known,
         )
-        m = (len(values),) if values.ndim else ()
-        target = np.broadcast_to(self.given, (*m, *self.given.shape))
-        near = np.array(np.broadcast_to(self.near, (*m, self.system.nq)), order="C")
-        return ik_all(
-            self.system,
-            target,
-            self.frame,
-            near,
-            task=(self.task, self.axis),
-            fixed={**fixed, name: values},
-            budget=budget,
-        )
+        if found:
+            return found.q[0]
+    lines = _find_lines(problem)
+    q = problem.options["base"].copy()
+    q[lines.q_index] = np.clip(q[lines.q_index], *lines.limits)
+    return q
 
 
-def _make_sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | None) -> Sweep:
+def solve_at_values(
+    problem: Problem,
+    name: str,
+    values: Array,
+    fixed: Mapping[str, Any],
+    time: TimeLimit | None = None,
+) -> Any:
+    """Solve `ik_all` with a joint held at values () or (m,), in the remaining time."""
+    budget = (
+        None
+        if time is None or time.remaining_seconds is None
+        else Budget(time_limit=SHARE * time.remaining_seconds)
+    )
+    m = (len(values),) if values.ndim else ()
+    given = problem.options["given"]
+    base = problem.options["base"]
+    return ik_all(
+        problem.system,
+        np.broadcast_to(given, (*m, *given.shape)),
+        str(problem.frame),
+        np.array(np.broadcast_to(base, (*m, *base.shape)), order="C"),
+        task=problem.task,
+        fixed={**fixed, name: values},
+        budget=budget,
+    )
+
+
+# ---- the curves of the solutions
+
+
+def _make_sweep(problem: Problem, curves: ArmCurves | JointCurves) -> Sweep:
     """Make the answer, with samples."""
+    n = problem.options["n"]
     rows, spans = (
         tuple(tuple(r) for r in curves.find_intervals(limited)) for limited in (True, False)
     )
     none = np.zeros((0, len(curves.labels)), dtype=bool)
     sweep = Sweep(
-        over.system,
-        over.frame,
+        problem.system,
+        str(problem.frame),
         curves.parameter,
-        over.task,
-        over.target,
+        problem.task[0],
+        problem.targets[0],
         curves.held,
         curves.domain,
         curves.labels,
@@ -769,14 +751,14 @@ def _make_sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | No
         spans,
         curves.exact,
         np.zeros(0),
-        np.zeros((*none.shape, over.system.nq)),
+        np.zeros((*none.shape, problem.system.nq)),
         none,
         none,
         curves,
         curves.base,
         None
         if curves.exact
-        else partial(over.solve_at_values, curves.parameter, fixed=curves.held),
+        else partial(solve_at_values, problem, curves.parameter, fixed=curves.held),
     )
     if n is None:
         return sweep
@@ -784,7 +766,7 @@ def _make_sweep(over: SweepProblem, curves: ArmCurves | JointCurves, n: int | No
     try:
         q, mask, fits = sweep._sample_branches(values, True)
     except TimeUp:
-        if not over.time.spent:
+        if not find_time_limit(USUAL).spent:
             raise
         curves.late = True
         return sweep
@@ -802,10 +784,10 @@ class ArmCurves:
     late = False
     domain = (-math.pi, math.pi)
 
-    def __init__(self, over: SweepProblem, arm: Arm):
-        self.posed = Posed(arm, over.target)
+    def __init__(self, problem: Problem, arm: Arm):
+        self.posed = Posed(arm, problem.targets[0])
         self.lines = arm.lines
-        self.base = over.near
+        self.base = problem.options["base"]
         self.held: dict[str, float] = {}
         names = (arm.lines.names[1], arm.lines.names[ELBOW], arm.lines.names[5])
         self.labels = tuple(
@@ -884,28 +866,31 @@ class JointCurves:
         return q, mask
 
 
-def _trace_joint_curves(over: SweepProblem, parameter: str | None, samples: int) -> JointCurves:
+def _trace_joint_curves(problem: Problem, samples: int) -> JointCurves:
     """Trace the branches over a joint.
 
     Errors: `UnsupportedError` where the chain has no freedom to spare.
     """
-    lines = over.lines
+    lines = _find_lines(problem)
+    frame = str(problem.frame)
+    parameter = problem.parameter[0]
+    task, axis = problem.task
+    time = find_time_limit(USUAL)
     if parameter is not None and parameter not in lines.names:
         raise UnknownNameError(
-            "joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {over.frame!r}"
+            "joint", str(parameter), (*lines.names, ARM_ANGLE), f"the chain of {frame!r}"
         )
-    if parameter in over.fixed:
+    if parameter in problem.known:
         raise InputError(f"{parameter} is fixed; the parameter must be free")
-    locked = _choose_locked_joints(over, parameter)
+    locked = _choose_locked_joints(problem)
     if not locked:
         raise UnsupportedError(
-            f"the chain of {over.frame!r} has no freedom to spare for {_format_task(over.task)}: ask "
-            "`ik_all`"
+            f"the chain of {frame!r} has no freedom to spare for {_format_task(task)}: ask `ik_all`"
         )
     name = locked[0] if parameter is None else parameter
-    others = {n: float(over.fixed[n]) for n in locked if n in over.fixed}
+    others = {n: float(problem.known[n]) for n in locked if n in problem.known}
     if left := [n for n in locked if n not in (name, *others)]:
-        q = over.choose_configuration()
+        q = _choose_held_configuration(problem)
         others |= {n: float(q[lines.q_index[lines.names.index(n)]]) for n in left}
     i = lines.names.index(name)
     first, last = compute_domains(lines)[:, i].tolist()
@@ -913,15 +898,15 @@ def _trace_joint_curves(over: SweepProblem, parameter: str | None, samples: int)
     shift = (domain[1] - domain[0]) * 0.381966 / samples  # arms tend to be singular at round values
     inner = np.linspace(domain[0], domain[1], samples)[:-1] + shift
     values = np.concatenate([[domain[0]], inner, [domain[1]]])
-    over.time.release_reserved_time()  # `ik_all` has its share, and ends by itself
-    found = over.solve_at_values(name, values, others, over.time)
+    time.release_reserved_time()  # `ik_all` has its share, and ends by itself
+    found = solve_at_values(problem, name, values, others, time)
     missed = int(np.sum(found.late))
     free = tuple(j for j, n in enumerate(lines.names) if n not in others)
-    base = over.near.copy()
+    base = problem.options["base"].copy()
     for other, value in others.items():
         base[lines.q_index[lines.names.index(other)]] = value
     motion = ChainMotion(
-        over.system, over.frame, lines, over.task, over.axis, over.target, base, free, free.index(i)
+        problem.system, frame, lines, task, axis, problem.targets[0], base, free, free.index(i)
     )
     level, row = np.nonzero(found.mask & (found.multiplicity > 0))
     arcs = trace_arcs(
@@ -929,9 +914,9 @@ def _trace_joint_curves(over: SweepProblem, parameter: str | None, samples: int)
         values / motion.unit[motion.p],
         motion.read_coordinates(found.q[level, row]),
         level,
-        over.time,
+        time,
     )
-    late = missed > 0 or over.time.spent
+    late = missed > 0 or time.spent
     return JointCurves(motion, arcs, name, domain, others, len(values) - missed, late)
 
 
@@ -939,17 +924,20 @@ def _format_task(task: str) -> str:
     return f"a{'n' if task[0] in 'aeiou' else ''} {task.replace('_axis', ' with an axis')}"
 
 
-def _choose_locked_joints(over: SweepProblem, parameter: str | None) -> list[str]:
+def _choose_locked_joints(problem: Problem) -> list[str]:
     """Choose the joints that `ik_all` holds, the parameter first.
 
     There are none where the chain has no freedom to spare.
     """
-    fixed = dict(over.fixed)
+    parameter = problem.parameter[0]
+    fixed = dict(problem.known)
     if parameter is not None:
         fixed[parameter] = np.zeros(())
-    names = over.lines.names
-    chosen = [names[i] for i in over.list_locked_joints(fixed) if names[i] not in fixed]
+    names = _find_lines(problem).names
+    chosen = [names[i] for i in _list_locked_joints(problem, fixed) if names[i] not in fixed]
     if parameter is None:
         return [*chosen, *fixed] if chosen else []
-    spare = [i for i in over.list_locked_joints(over.fixed) if names[i] not in over.fixed]
-    return [parameter, *chosen, *over.fixed] if spare else []
+    spare = [
+        i for i in _list_locked_joints(problem, problem.known) if names[i] not in problem.known
+    ]
+    return [parameter, *chosen, *problem.known] if spare else []

@@ -21,6 +21,7 @@ from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.curves import ACROSS, BEND, Curve, Node, find_next_node, make_node, walk_curve
+from kempe.numerics.intervals import SAME_ANGLE, unite_intervals
 from kempe.numerics.newton import GaussNewtonEnd, run_many_gauss_newton
 from kempe.numerics.rank import Spectrum
 from kempe.numerics.roots import find_sign_change
@@ -266,13 +267,9 @@ class CurvePiece:
         middles = np.array([0.5 * (a[0] + b[0]) for a, b in pairs])
         k = np.minimum(middles.astype(int), last - 1)
         good = self.motion.is_inside_limits(self.compute_points(k, middles - k))
-        out: list[tuple[float, float]] = []
-        for i, ((_, low), (_, high)) in enumerate(pairs):
-            if good[i] and i and good[i - 1]:
-                out[-1] = (out[-1][0], float(high))
-            elif good[i]:
-                out.append((float(low), float(high)))
-        return out
+        kept = [pair for pair, inside in zip(pairs, good, strict=True) if inside]
+        parts = [(float(low), float(high)) for (_, low), (_, high) in kept]
+        return list(unite_intervals(parts, slack=SAME_ANGLE))
 
     def _iterate_crossings(self) -> Iterator[tuple[float, float]]:
         """Yield step, fraction and parameter where another joint passes a limit."""

@@ -342,7 +342,7 @@ def count_task_freedoms(plan: ChainPlan, held: Sequence[int]) -> tuple[int, int]
     """Count the equations of the task, and its freedoms that joints give which are not `held`."""
     free = make_free_lines(plan.lines, plan.task, plan.planar)
     unknown = [i for i in range(len(plan.lines)) if i not in held]
-    others = len(free.kinds)
+    others = len(free)
     rank = count_chain_freedoms(plan.lines, free, unknown)
     return (3 if plan.planar else 6) - others, rank - others
 
