@@ -195,6 +195,8 @@ P = [0.4, 0.1, 0.5]
         (lambda: tasks.CentreOfPoints([HAND], P, within=[0.1, 0.2]), "within"),
         (lambda: tasks.CentreOfPoints([HAND], P, within=[0.1, -0.2, 0.1]), "within"),
         (lambda: tasks.CentreOfPoints({HAND: NAN}, P), "weight"),
+        (lambda: tasks.CentreOfPoints(3, P), "a list of names of frames"),
+        (lambda: tasks.CentreOfPoints(HAND, P), "a list of names of frames"),
         (lambda: tasks.CentreOfPoints({HAND: "a"}, P), "weight"),
         (lambda: tasks.CentreOfMass(P, axes=["x"]), "axes"),
         (lambda: tasks.Function(3), "function of q"),

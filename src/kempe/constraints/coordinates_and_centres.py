@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import field
 from typing import Any, ClassVar
 
@@ -192,6 +192,13 @@ class CentreOfPoints(_OfCentre):
     within: Number = 0.0
 
     measured: ClassVar[str] = "height"
+
+    def __post_init__(self) -> None:
+        if isinstance(self.frames, str) or not isinstance(self.frames, Iterable):
+            raise InputError(
+                f"frames of {type(self).__name__} is {self.frames!r}; it must be a list of names of "
+                "frames, or a dict of their weights"
+            )
 
     @property
     def subject(self) -> str:
