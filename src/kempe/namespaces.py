@@ -186,9 +186,9 @@ class Inverse(Namespace):
         UnsupportedError
             For chains with loops, quaternions or shared coordinates.
         InputError
-            For wrong values.
+            For wrong values and other words for `task`.
         UnknownNameError
-            If there is no such frame, task or joint.
+            If there is no such frame or joint.
         """
         from kempe.inverse.describe import describe_plan
 
@@ -637,7 +637,7 @@ class ReachStudies(Namespace):
         InputError
             For wrong shapes.
         UnknownNameError
-            If there is no such frame or task.
+            If there is no such frame.
         Interrupted
             After Ctrl-C, with the finished poses as its `answer`.
         """
@@ -680,7 +680,7 @@ class ReachStudies(Namespace):
         InputError
             For wrong shapes or values.
         UnknownNameError
-            If there is no such frame, task or coordinate of the base.
+            If there is no such frame or coordinate of the base.
         Interrupted
             After Ctrl-C, with the finished placements as its `answer`.
         """

@@ -869,9 +869,10 @@ class System(Model, Pictured):
         Raises
         ------
         InputError
-            For wrong shapes, and NaN in a single target. A target of a batch with NaN gives NaN.
+            For wrong shapes, other words for `task` or `method`, and NaN in a single target. A
+            target of a batch with NaN gives NaN.
         UnknownNameError
-            If there is no such frame, task or method.
+            If there is no such frame, posture or coordinate.
 
         Notes
         -----
@@ -984,7 +985,7 @@ class System(Model, Pictured):
         so. Each solution is verified by the forward model. Where the time limit ended the work, the
         known solutions are returned, not `complete`.
 
-        `inverse.plan` gives the method for a frame: closed form (`kempe.kernels.closed_form`),
+        The method `plan` of `inverse` gives the way for a frame: closed form (`kempe.kernels.closed_form`),
         elimination (`kempe.kernels.elimination`) or search.
         """
         plain = (
