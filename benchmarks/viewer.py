@@ -38,7 +38,7 @@ def timed(page: Page, event: Callable[[int], object]) -> tuple[float, float]:
     for k in range(EVENTS):
         start = time.perf_counter()
         event(k)
-        page.viewer.share_move(page)
+        page.viewer.update_pages(page)
         spent.append(1e3 * (time.perf_counter() - start))
     page.viewer.close()
     return float(np.median(spent)), float(np.percentile(spent, 90))
