@@ -43,6 +43,15 @@ def test_all_that_is_public_is_documented(path):
         assert text, f"{node.name} has no docstring"
 
 
+@every_module
+def test_no_docstring_says_a_paragraph_twice(path):
+    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for node in ast.walk(sources.tree(path)):
+        if isinstance(node, kinds):
+            paragraphs = (ast.get_docstring(node) or "").split("\n\n")
+            assert len(set(paragraphs)) == len(paragraphs), getattr(node, "name", "module")
+
+
 @sources.each([p for p in MODULES if not file(p).startswith("kernels/")], SOURCE)
 def test_arguments_are_typed(path):
     """But those of kernels, which are compiled for explicit signatures."""

@@ -1,8 +1,6 @@
 """Base of all results: their sentence, text, HTML and JSON.
 
 An answer is true where its question was answered.
-
-An answer is true where its question was answered.
 """
 
 from __future__ import annotations

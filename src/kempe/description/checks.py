@@ -1,8 +1,6 @@
 """Checks of the arguments of builder calls.
 
 Each function returns the checked value or raises an error.
-
-Each function returns the checked value or raises an error.
 """
 
 from __future__ import annotations
@@ -44,8 +42,6 @@ def check_name(given: object, kind: str) -> str:
     """Return the name of a body, joint or frame, a text that is not empty.
 
     Errors: `InputError`.
-
-    Errors: `InputError`.
     """
     if not isinstance(given, str) or not given.strip():
         raise InputError(f"{kind} name is {given!r}; it must be text, not empty")
@@ -54,8 +50,6 @@ def check_name(given: object, kind: str) -> str:
 
 def check_number(x: object, what: str) -> float:
     """Return a finite number.
-
-    Errors: `InputError`.
 
     Errors: `InputError`.
     """
@@ -67,8 +61,6 @@ def check_number(x: object, what: str) -> float:
 
 def check_numbers(given: object, what: str) -> dict[str, float]:
     """Return finite numbers by coordinate name.
-
-    Errors: `InputError`.
 
     Errors: `InputError`.
     """
@@ -108,8 +100,6 @@ def make_body(
 
 def check_color(given: object) -> tuple[float, float, float, float] | None:
     """Return red, green, blue and opacity (default 1), each from 0 to 1.
-
-    Errors: `InputError`.
 
     Errors: `InputError`.
     """
@@ -321,8 +311,6 @@ def check_limits(
     subject: str, given: object, type_: JointType, dim: int, particle: bool, where: Where | None
 ) -> dict[str, Limits]:
     """Return the limits (lower, upper) of a joint by coordinate.
-
-    `given` is a pair, with None where there is no limit, or a dict of such pairs by coordinate.
 
     `given` is a pair, with None where there is no limit, or a dict of such pairs by coordinate.
 

@@ -124,8 +124,6 @@ def _check_columns(columns: Any, known: tuple[str, ...]) -> tuple[str, ...]:
     """Return the names of the columns of plain rows.
 
     Errors: `InputError`.
-
-    Errors: `InputError`.
     """
     given: Any = columns
     if isinstance(columns, str) or not isinstance(columns, Iterable):
@@ -154,8 +152,6 @@ def _convert_plain_row(row: Any, number: int, columns: tuple[str, ...]) -> dict[
 
 def _read_named_table(table: Any, names: list[Any], known: tuple[str, ...]) -> list[dict[str, Any]]:
     """Return the rows of a table with named columns as dicts, without missing entries.
-
-    None is missing, and NaN where no number is due.
 
     None is missing, and NaN where no number is due.
     """
@@ -224,8 +220,6 @@ def convert_to_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -
 
     `winds` is the value of `has_counted_turns` for the table.
 
-    `winds` is the value of `has_counted_turns` for the table.
-
     Errors: `InputError` for angles that are clearly in the other unit.
     """
     if not isinstance(deg, (bool, np.bool_)):
@@ -251,8 +245,6 @@ def convert_to_radians(row: DHRow, number: int, deg: bool, winds: bool = True) -
 
 def _convert_angle(given: Value | str, what: str, deg: bool, winds: bool) -> Value:
     """Return an angle in radians.
-
-    Errors: `InputError` for an angle that is probably given in the other unit.
 
     Errors: `InputError` for an angle that is probably given in the other unit.
     """
@@ -391,8 +383,6 @@ def from_dh(
 
     The frame of body i is DH frame i.
 
-    The frame of body i is DH frame i.
-
     With `convention` "standard", Ai = Rz(theta) Tz(d) Tx(a) Rx(alpha) (Denavit and Hartenberg,
     1955); with "modified", Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986). `rows` are `DHRow`,
     dicts with their fields, a table with named columns (a DataFrame, a dict of lists), or plain
@@ -432,8 +422,6 @@ def add_dh_chain(
     columns: Sequence[str] = ORDER,
 ) -> None:
     """Add the chain of a Denavit-Hartenberg table to `mechanism`.
-
-    The chain starts on the body `on` (the ground where None).
 
     The chain starts on the body `on` (the ground where None).
 
@@ -485,8 +473,6 @@ def from_screws(
     parameters: Mapping[str, float] | None = None,
 ) -> Mechanism:
     """Return the chain of screw axes, where body i has the pose exp(S1 q1) ... exp(Si qi).
-
-    The frame 'tool' has the pose of the last body times `home`.
 
     The frame 'tool' has the pose of the last body times `home`.
 
@@ -606,8 +592,6 @@ def _resolve_screw(row: ScrewRow, number: int) -> tuple[str, Placement, dict[str
 
 def _make_row(kind: Any, row: Any, number: int) -> Any:
     """Return a row of class `kind` from a dict.
-
-    Errors: `InputError` for unknown entries.
 
     Errors: `InputError` for unknown entries.
     """

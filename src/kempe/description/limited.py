@@ -50,8 +50,6 @@ class Ended(NamedTuple):
 
     `reason` is "" where it did what it should, else "time", "memory", "output" or "failed".
 
-    `reason` is "" where it did what it should, else "time", "memory", "output" or "failed".
-
     `output` and `said` are what it wrote, `code` is its exit code: None where it was stopped.
     """
 
@@ -72,8 +70,6 @@ def run_limited_code(
     meanwhile: Callable[[], object] | None = None,
 ) -> Ended:
     """Run Python `code` in a limited process and return how it ended.
-
-    The code finds the `settings` as `s`; few environment variables are passed on.
 
     The code finds the `settings` as `s`; few environment variables are passed on.
 

@@ -179,8 +179,6 @@ def _resolve_end(mechanism: Mechanism, end: object, subject: str, where: Where |
     """Return the end of a constraint as a placement on a body.
 
     None is the ground, a text is the name of a frame or a body.
-
-    None is the ground, a text is the name of a frame or a body.
     """
     if end is None:
         return End(mechanism.ground.name)
@@ -217,8 +215,6 @@ def _check_values(
     mechanism: Mechanism, x: Any, what: str, subject: str, where: Where | None
 ) -> Any:
     """Return numbers or expressions.
-
-    Errors: `DescriptionError` for unknown parameters and values that are not finite.
 
     Errors: `DescriptionError` for unknown parameters and values that are not finite.
     """
@@ -297,8 +293,6 @@ def check_constraint(mechanism: Mechanism, made: Declared) -> None:
 
 def evaluate_constraint(made: Declared, parameters: Mapping[str, float], dim: int) -> Constraint:
     """Return the constraint with its expressions evaluated at the parameters.
-
-    Errors: `DescriptionError`.
 
     Errors: `DescriptionError`.
     """
@@ -388,8 +382,6 @@ class ConstraintMethods:
 
         It holds between frames or bodies of the mechanism.
 
-        It holds between frames or bodies of the mechanism.
-
         Numbers may be expressions in parameters. It is no connection: the bodies need joints
         besides, `free` where nothing else holds them. What only `ik` reads (`weight`, `priority`,
         `tolerance`) is refused. Errors: `DescriptionError` with what is wrong and what is allowed.
@@ -407,8 +399,6 @@ class ConstraintMethods:
         where: Where | None = None,
     ) -> Declared:
         """Add a rod of given length [m] between point `at` on `a` and point `child_at` on `b`.
-
-        Both ends of the rod are ball hinges.
 
         Both ends of the rod are ball hinges.
 
@@ -433,8 +423,6 @@ class ConstraintMethods:
         """Keep point `child_at` of `b` on a line of `a`.
 
         The line passes through `at` along z of its frame (or `axis`, as in `joint`).
-
-        The line passes through `at` along z of its frame (or `axis`, as in `joint`).
         """
         return declare_placed_constraint(
             self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where
@@ -453,8 +441,6 @@ class ConstraintMethods:
         """Keep point `child_at` of `b` in a plane of `a`.
 
         The plane passes through `at`, normal to z of its frame (or `axis`, as in `joint`).
-
-        The plane passes through `at`, normal to z of its frame (or `axis`, as in `joint`).
         """
         return declare_placed_constraint(
             self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where
@@ -464,12 +450,6 @@ class ConstraintMethods:
         self: Any, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0
     ) -> Declared:
         """Forbid velocity of a frame's origin along its y axis, or prescribe it as `speed`.
-
-        The constraint is that of a wheel with axle y.
-
-        The constraint is that of a wheel with axle y.
-
-        The constraint is that of a wheel with axle y.
 
         The constraint is that of a wheel with axle y.
         """
@@ -486,8 +466,6 @@ class ConstraintMethods:
         one_sided: bool = False,
     ) -> Declared:
         """Let a ball or disc roll without slipping on the xy-plane of `on` (default: the ground).
-
-        The centre of the ball or disc is the origin of `frame`.
 
         The centre of the ball or disc is the origin of `frame`.
 
@@ -510,8 +488,6 @@ class ConstraintMethods:
         """Keep a point, ball or disc above the xy-plane of `on` (default: the ground).
 
         The point, or the centre of the ball or disc, is the origin of `frame`.
-
-        The point, or the centre of the ball or disc, is the origin of `frame`.
         """
         return self.constrain(
             constraints.Contact(str(frame), None if on is None else str(on), radius, shape), name
@@ -525,8 +501,6 @@ class ConstraintMethods:
         time: bool = False,
     ) -> Declared:
         """Add an equation f = 0 of coordinates, or several.
-
-        The equation is a text, ``"A = 2*B"``, or a function of the coordinates named in `of`.
 
         The equation is a text, ``"A = 2*B"``, or a function of the coordinates named in `of`.
 
@@ -554,9 +528,6 @@ class ConstraintMethods:
         time: bool = False,
     ) -> Declared:
         """Add equations A(q) v = b(q, t) of velocities.
-
-        v are the velocities of the coordinates named in `of`, and the rows of A are texts,
-        ``[["-y^2", 0, 1]]``, or a function.
 
         v are the velocities of the coordinates named in `of`, and the rows of A are texts,
         ``[["-y^2", 0, 1]]``, or a function.
@@ -630,15 +601,11 @@ class Mechanism(ConstraintMethods):
         """Add a rigid body and return it.
 
         `mass` in kg and `center` of mass (x, y, z) in the body's frame are optional.
-
-        `mass` in kg and `center` of mass (x, y, z) in the body's frame are optional.
         """
         return self._add_body(checks.make_body(name, False, mass, center, where))
 
     def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
         """Add a particle, a point mass without orientation, and return it.
-
-        Attach it by a prismatic, translation or free joint.
 
         Attach it by a prismatic, translation or free joint.
         """
@@ -659,8 +626,6 @@ class Mechanism(ConstraintMethods):
         **turn: Any,
     ) -> Frame:
         """Add a named frame to a body and return it.
-
-        `at`, `rpy`, `angle`, `axis`, `quat_wxyz` and `matrix` place the frame as in `place`.
 
         `at`, `rpy`, `angle`, `axis`, `quat_wxyz` and `matrix` place the frame as in `place`.
         """
@@ -921,8 +886,6 @@ class Mechanism(ConstraintMethods):
         """Add a joint that only translates, along x, y, z (in the plane x, y).
 
         Keywords as in `joint`.
-
-        Keywords as in `joint`.
         """
         return self.joint(name, "translation", parent, child, **keywords)
 
@@ -930,15 +893,11 @@ class Mechanism(ConstraintMethods):
         """Add a ball joint; keywords as in `joint`.
 
         Its coordinates are a quaternion or, with `angles=True`, three angles.
-
-        Its coordinates are a quaternion or, with `angles=True`, three angles.
         """
         return self.joint(name, "spherical", parent, child, **keywords)
 
     def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
         """Add a joint that allows all motions; its coordinates are the child's pose.
-
-        Keywords as in `joint`.
 
         Keywords as in `joint`.
         """
@@ -1069,16 +1028,12 @@ class Mechanism(ConstraintMethods):
         """Return the compiled `System`.
 
         Errors: `DescriptionError` that names the parts that do not fit together.
-
-        Errors: `DescriptionError` that names the parts that do not fit together.
         """
         with pause_garbage_collection(len(self.bodies)):
             return import_late_member("System")(self)
 
     def save(self, path: str | Path) -> Path:
         """Write the mechanism to a file and return the path.
-
-        The ending of the name chooses the format (.toml holds everything).
 
         The ending of the name chooses the format (.toml holds everything).
         """
@@ -1104,8 +1059,6 @@ class Mechanism(ConstraintMethods):
 
     def content(self) -> tuple[Any, ...]:
         """Return all content as nested tuples, in the order of declaration.
-
-        File positions and notes are left out.
 
         File positions and notes are left out.
         """
@@ -1167,8 +1120,6 @@ class Mechanism(ConstraintMethods):
         """Return the body of this name.
 
         Errors: `DescriptionError`.
-
-        Errors: `DescriptionError`.
         """
         name = body.name if isinstance(body, Body) else body
         if not isinstance(name, str) or name not in self.bodies:
@@ -1181,8 +1132,6 @@ class Mechanism(ConstraintMethods):
         self, at: object, turn: Mapping[str, Any], subject: str, where: Where | None, on: Body
     ) -> Placement:
         """Return the placement of a point or frame with an orientation on a body.
-
-        Errors: `DescriptionError`.
 
         Errors: `DescriptionError`.
         """
@@ -1209,8 +1158,6 @@ def choose_unused_name(m: Mechanism, name: str) -> str:
 
 def _get_mechanism(thing: Mechanism | System) -> Mechanism:
     """Return the mechanism itself, or the mechanism of a system.
-
-    Errors: `InputError`.
 
     Errors: `InputError`.
     """
@@ -1298,8 +1245,6 @@ def attach_mechanism(
 
 def _refuse_clashes(host: Mechanism, guest: Mechanism, prefix: str) -> None:
     """Raise `DescriptionError` if the guest has names that the host has, too.
-
-    Bodies and frames share names, and joints and constraints do.
 
     Bodies and frames share names, and joints and constraints do.
     """
@@ -1431,8 +1376,6 @@ def _keep_coupling(
     """Add a coupling to `out` if its outside sources are locked or follow coordinates inside.
 
     Errors: `DescriptionError` where it follows a free coordinate outside.
-
-    Errors: `DescriptionError` where it follows a free coordinate outside.
     """
     sources = dict(coupling.sources)
     offset = coupling.offset
@@ -1463,8 +1406,6 @@ def _find_shortest_paths(mechanism: Mechanism, base: str, end: str = "") -> dict
     """Return the bodies by nearness to `base`, each with the last joint of the shortest path to it.
 
     The search stops at `end`.
-
-    The search stops at `end`.
     """
     neighbours: dict[str, list[tuple[str, Joint]]] = {b: [] for b in mechanism.bodies}
     for joint in sorted(mechanism.joints.values(), key=lambda j: (j.cut, j.name)):
@@ -1485,8 +1426,6 @@ def _find_shortest_paths(mechanism: Mechanism, base: str, end: str = "") -> dict
 
 def find_path_joints(mechanism: Mechanism, base: str, end: str) -> list[Joint]:
     """Return the joints on the shortest path from body `base` to body `end`.
-
-    Errors: `DescriptionError`.
 
     Errors: `DescriptionError`.
     """

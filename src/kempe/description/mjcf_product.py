@@ -48,8 +48,6 @@ class _Factors:
         """Append a factor and return the index of its coordinate.
 
         A factor with a `value` is constant.
-
-        A factor with a `value` is constant.
         """
         at = self.count
         self.words.append(word)
@@ -139,8 +137,6 @@ def _make_step(kind: str, letter: str, x: float) -> Placement:
 
 def make_axes_frame(axes: Sequence[Array]) -> Array:
     """Return a rotation (3, 3) whose columns are as many of the axes as possible.
-
-    An axis goes to the column of its largest component where that is free.
 
     An axis goes to the column of its largest component where that is free.
     """

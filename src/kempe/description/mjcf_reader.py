@@ -83,8 +83,6 @@ class _Reader:
         """Return the mechanism.
 
         Errors: `DescriptionError` with all problems of the file.
-
-        Errors: `DescriptionError` with all problems of the file.
         """
         self._check_numbers()
         self.findings.raise_problems()
@@ -262,8 +260,6 @@ class _Reader:
         """Add a geom to its body as a shape.
 
         A geom without contacts is only drawn; geoms in groups from 3 on are not drawn.
-
-        A geom without contacts is only drawn; geoms in groups from 3 on are not drawn.
         """
         on = self.bodies[int(row["body"])]
         where = self._locate_row(row)
@@ -348,9 +344,6 @@ class _Reader:
 
     def _read_weld(self, name: str, row: Row, where: Where) -> None:
         """Add an equality that holds the pose of body b in body a.
-
-        Point d[3:6] of body a is d[0:3] of body b, which is turned by the quaternion d[6:10]; with
-        a torque scale of 0 the rotation stays free.
 
         Point d[3:6] of body a is d[0:3] of body b, which is turned by the quaternion d[6:10]; with
         a torque scale of 0 the rotation stays free.

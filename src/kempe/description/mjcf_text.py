@@ -189,8 +189,6 @@ class Merged:
         """Return the file that an element names, in the folders of the model.
 
         Errors: `DescriptionError`.
-
-        Errors: `DescriptionError`.
         """
         places = (folder / name for folder in (*folders, *self._given) if folder is not None)
         found, outside = self._readable.find_first_file(places)
@@ -223,8 +221,6 @@ class Merged:
 
     def _read_bytes(self, path: Path, where: Where) -> bytes:
         """Return the bytes of a file.
-
-        Errors: `DescriptionError`.
 
         Errors: `DescriptionError`.
         """
@@ -272,8 +268,6 @@ def _check_is_mjcf(source: Source) -> None:
 
 def _check_text(source: Source) -> str:
     """Return the text of a source without comments.
-
-    Errors: `DescriptionError` for a DTD, and for entries that are no numbers.
 
     Errors: `DescriptionError` for a DTD, and for entries that are no numbers.
     """

@@ -27,10 +27,6 @@ def compile_model(text: str, files: dict[str, bytes]) -> dict[str, Any]:
     The result is ``{"error": ...}`` with the message of MuJoCo where the text is wrong, and
     ``{"missing": ...}`` where its version lacks something; `files` by name are those that the text
     needs while it is parsed.
-
-    The result is ``{"error": ...}`` with the message of MuJoCo where the text is wrong, and
-    ``{"missing": ...}`` where its version lacks something; `files` by name are those that the text
-    needs while it is parsed.
     """
     mujoco: Any = import_module("mujoco")
     try:

@@ -91,9 +91,6 @@ class Folders:
 
         Readable is a file in a readable folder or in this package, links and ``..`` followed. None
         stands where there is no such file.
-
-        Readable is a file in a readable folder or in this package, links and ``..`` followed. None
-        stands where there is no such file.
         """
         allowed = [*self.readable, *([package.resolve()] if package else [])]
         outside: Path | None = None

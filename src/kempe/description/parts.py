@@ -97,8 +97,6 @@ class Shape(InSentence):
         """Description of the shape in one sentence.
 
         For instance "capsule of radius 0.04 m and length 0.4 m (collision), placed by z = 0.2".
-
-        For instance "capsule of radius 0.04 m and length 0.4 m (collision), placed by z = 0.2".
         """
         named = f"{self.name}: " if self.name else ""
         placed = f", placed by {self.X_BS}" if self.X_BS.steps else ""
@@ -111,8 +109,6 @@ class Shape(InSentence):
 @dataclass(frozen=True)
 class Body(InSentence):
     """Rigid body, or particle: a body without orientation.
-
-    A particle has 3 degrees of freedom in space, 2 in the plane.
 
     A particle has 3 degrees of freedom in space, 2 in the plane.
     """
@@ -148,8 +144,6 @@ class Body(InSentence):
 @dataclass(frozen=True)
 class Joint(InSentence):
     """Joint of any type between two bodies.
-
-    Its frame F sits at `X_PF` on the parent, its frame M at `X_CM` on the child.
 
     Its frame F sits at `X_PF` on the parent, its frame M at `X_CM` on the child.
 
@@ -221,8 +215,6 @@ class Joint(InSentence):
 
     def _name_axes(self, dim: int) -> tuple[dict[str, str], str]:
         """Return for x, y, z of frame F the parallel axis of the parent, and the parent's name.
-
-        Where an axis is oblique, the axes are those of F itself.
 
         Where an axis is oblique, the axes are those of F itself.
 

@@ -139,8 +139,6 @@ def check_description(
     """Return all problems and notes of a description, which is read and compiled.
 
     Arguments are those of `read_mechanism`.
-
-    Arguments are those of `read_mechanism`.
     """
     try:
         mechanism = read_mechanism(
@@ -221,8 +219,6 @@ def _read_file(path: Path, how: _How, arguments: dict[str, str] | None) -> Mecha
 
 def _read_bytes(path: Path) -> bytes:
     """Return the contents of a file of bounded size.
-
-    Errors: `DescriptionError` that names similar files.
 
     Errors: `DescriptionError` that names similar files.
     """
@@ -331,8 +327,6 @@ def _read_srdf_source(source: str | Path | bytes, how: _How) -> Any:
 
 def _choose_format(text: str | bytes, given: Format | None) -> Format:
     """Return the given format, or the format recognised from the contents.
-
-    Errors: a format that the contents contradict, or that is not read.
 
     Errors: a format that the contents contradict, or that is not read.
     """

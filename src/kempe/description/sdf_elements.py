@@ -294,8 +294,6 @@ def read_pose(
     """Return the placement in the <pose> of an element, its reference frame, and the <pose>.
 
     The name of the reference frame is '' where the file leaves it open.
-
-    The name of the reference frame is '' where the file leaves it open.
     """
     pose = find_first_child(holder, "pose")
     if pose is None:

@@ -67,8 +67,6 @@ def read_sdf(
 
     The ground is called 'world'.
 
-    The ground is called 'world'.
-
     Bodies and joints are named as the outermost model names them: 'link', 'nested::link'; in a
     world 'model::link'. `model` reads only the model of this name. What nothing ties to the ground
     is held where the file places it, by a fixed joint called 'base'; ``base="free"`` makes this a
@@ -184,8 +182,6 @@ class _Reader:
 
     def fill_mechanism(self, free: bool) -> None:
         """Add all links, joints and frames of the file to the mechanism.
-
-        With `free`, free joints carry what nothing ties to the ground, else fixed ones do.
 
         With `free`, free joints carry what nothing ties to the ground, else fixed ones do.
         """
@@ -475,9 +471,6 @@ class _Reader:
 
         <screw_thread_pitch> is in metres for each turn, the older <thread_pitch> in radians for
         each metre of a left-handed thread.
-
-        <screw_thread_pitch> is in metres for each turn, the older <thread_pitch> in radians for
-        each metre of a left-handed thread.
         """
         per_turn = read_number(element, "screw_thread_pitch", 1.0, self.findings, subject)
         if find_first_child(element, "screw_thread_pitch") is None and find_first_child(
@@ -559,8 +552,6 @@ class _Reader:
         """Add the coupling of a gearbox.
 
         It couples the joints that lead from its reference body to its parent and its child.
-
-        It couples the joints that lead from its reference body to its parent and its child.
         """
         findings = self.findings
         subject = scope.describe_part("joint", name)
@@ -597,15 +588,6 @@ class _Reader:
 
     def _find_gear_joint(self, reference: str, link: str, axis: Array) -> tuple[str, float] | None:
         """Return the revolute joint between two bodies about an axis (3,), and its sense.
-
-        The sense is 1.0 where the joint turns the link about this axis as the reference sees it,
-        else -1.0.
-
-        The sense is 1.0 where the joint turns the link about this axis as the reference sees it,
-        else -1.0.
-
-        The sense is 1.0 where the joint turns the link about this axis as the reference sees it,
-        else -1.0.
 
         The sense is 1.0 where the joint turns the link about this axis as the reference sees it,
         else -1.0.

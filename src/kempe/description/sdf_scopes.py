@@ -194,8 +194,6 @@ class Node(NamedTuple):
     """Frame of a scope: it sits at `X` on the frame `base`, and moves with the frame `on`.
 
     `on` is '' for a link, which moves by itself.
-
-    `on` is '' for a link, which moves by itself.
     """
 
     X: Placement
@@ -585,8 +583,6 @@ class Scope:
         """Return the placement of a frame on another frame of this scope as the file gives it.
 
         None where the first does not sit on the second, over a few frames.
-
-        None where the first does not sit on the second, over a few frames.
         """
         out = Placement()
         for _ in range(FEW):
@@ -603,8 +599,6 @@ class Scope:
 
     def find_link(self, name: str, where: Where, subject: str) -> tuple[Scope, str] | None:
         """Return the link that moves with a frame, as its scope and its name; None after a problem.
-
-        The name is '' for the ground.
 
         The name is '' for the ground.
         """
@@ -653,9 +647,6 @@ class Scope:
     @cached_property
     def canonical_link(self) -> str | None:
         """Link that moves with the model's own frame.
-
-        It is the link that the model names, else its first link, else that of its first nested
-        model.
 
         It is the link that the model names, else its first link, else that of its first nested
         model.

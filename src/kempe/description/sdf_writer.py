@@ -213,8 +213,6 @@ class _SdfWriter(UrdfWriter):
         """Iterate over the elements <visual> and <collision> of a shape.
 
         `taken` are the names of the elements before.
-
-        `taken` are the names of the elements before.
         """
         pose = self.format_pose(shape.X_BS, "", subject)
         try:

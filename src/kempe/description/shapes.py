@@ -25,8 +25,6 @@ def _check_length(given: Any, what: str) -> Value:
     """Return a length above zero [m].
 
     Errors: `InputError`.
-
-    Errors: `InputError`.
     """
     found = read_value(given, what)
     if not isinstance(found, Expression) and not found > 0.0:
@@ -36,8 +34,6 @@ def _check_length(given: Any, what: str) -> Value:
 
 def _check_lengths(given: Any, what: str) -> tuple[Value, ...]:
     """Return three lengths above zero [m].
-
-    Errors: `InputError`.
 
     Errors: `InputError`.
     """
@@ -58,8 +54,6 @@ def _check_scale(given: Any, what: str) -> tuple[Value, ...]:
 
 def _check_path(given: Any, what: str) -> str:
     """Return the path of a file as text.
-
-    Errors: `InputError`.
 
     Errors: `InputError`.
     """
@@ -103,8 +97,6 @@ class Geometry:
 
     def evaluate_sizes(self, parameters: Mapping[str, Any]) -> Any:
         """Return the same shape with numbers in place of expressions.
-
-        Errors: `InputError` for sizes that are not above zero.
 
         Errors: `InputError` for sizes that are not above zero.
         """
@@ -172,8 +164,6 @@ class Cylinder(Geometry):
 @dataclass(frozen=True)
 class Capsule(Geometry):
     """Cylinder along z of this `length` with a hemisphere on each end.
-
-    The whole height is ``length + 2 * radius``.
 
     The whole height is ``length + 2 * radius``.
     """

@@ -146,8 +146,6 @@ class Findings:
 
         `but` is never suggested.
 
-        `but` is never suggested.
-
         Empty where it would not be shown, or cost too much: comparing with 5000 names takes some 50
         ms.
         """
@@ -222,8 +220,6 @@ def list_folders(given: Any) -> tuple[Path, ...]:
     """Return folders given as a list of paths or a single path.
 
     Errors: `InputError`.
-
-    Errors: `InputError`.
     """
     entries: Any = given
     single = isinstance(given, (str, Path)) or not isinstance(given, Iterable)
@@ -235,8 +231,6 @@ def list_folders(given: Any) -> tuple[Path, ...]:
 
 def expand_path(path: str | Path) -> Path:
     """Return the path of a file, with a leading ``~`` replaced by the home folder.
-
-    Errors: `InputError` for a URL.
 
     Errors: `InputError` for a URL.
     """
@@ -270,8 +264,6 @@ def read_bounded_file(path: Path) -> bytes:
     """Return the bytes of a file, at most `SIZE_LIMIT` + 1 of them.
 
     Errors: `OSError`.
-
-    Errors: `OSError`.
     """
     with open(path, "rb") as file:
         return file.read(SIZE_LIMIT + 1)
@@ -300,8 +292,6 @@ SLIP = 0.8
 @lru_cache(maxsize=1024)
 def find_intended_name(name: str, known: tuple[str, ...]) -> str | None:
     """Return the known name that an unknown one misspells; None where there is none.
-
-    A name that holds a known one among its words is no misspelling.
 
     A name that holds a known one among its words is no misspelling.
     """
@@ -336,8 +326,6 @@ LONG = 200
 
 def parse_numbers(text: str, count: int) -> tuple[float, ...] | str:
     """Return the finite numbers in a text, separated by blanks, or the problem as text.
-
-    Any other number of them than `count` is a problem.
 
     Any other number of them than `count` is a problem.
     """
@@ -401,8 +389,6 @@ def refuse_other_kinds(data: bytes | str, name: str) -> None:
 
 def decode_text(data: bytes | str, name: str, declared: re.Pattern[bytes] | None = None) -> str:
     """Return the text of a file's bytes: UTF-8, UTF-16 with a byte order mark, or as declared.
-
-    `declared` is a pattern that finds the declaration of another encoding.
 
     `declared` is a pattern that finds the declaration of another encoding.
 
@@ -487,8 +473,6 @@ def _choose_codec(given: str, first: Where) -> str:
     """Return the codec of Python for a declared encoding.
 
     Errors: `DescriptionError`.
-
-    Errors: `DescriptionError`.
     """
     said = f"its first line declares the encoding {given!r}"
     if given.lower().startswith("utf-16"):
@@ -502,8 +486,6 @@ def _choose_codec(given: str, first: Where) -> str:
 
 def _apply_codec(data: bytes, encoding: str, name: str, claim: str) -> str:
     """Return bytes decoded by a codec.
-
-    Errors: `DescriptionError` with line and column.
 
     Errors: `DescriptionError` with line and column.
     """

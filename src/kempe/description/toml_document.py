@@ -201,8 +201,6 @@ def parse_toml(text: str) -> tuple[dict[str, Any], dict[Path, int] | None]:
 
     The offsets are None where they are unknown.
 
-    The offsets are None where they are unknown.
-
     Errors: those of `tomllib`.
     """
     if _LONG_KEY.search(text) and (
@@ -483,8 +481,6 @@ class Document:
         """Check that a table has all required keys, no unknown ones, and values of the right types.
 
         Problems are recorded; return whether there are none.
-
-        Problems are recorded; return whether there are none.
         """
         before = len(self.findings.problems)
         known = KEYS[kind] + (list_joint_options() if kind == "joint" else ())
@@ -573,8 +569,6 @@ class Document:
 
 def _parse_source(source: Source) -> tuple[dict[str, Any], dict[Path, int] | None]:
     """Return the data and the offsets of tables.
-
-    Errors: `DescriptionError` where the text is no TOML.
 
     Errors: `DescriptionError` where the text is no TOML.
     """

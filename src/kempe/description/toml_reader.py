@@ -75,8 +75,6 @@ def _check_names(given: Any) -> list[str]:
     """Return a list of names.
 
     Errors: `InputError`.
-
-    Errors: `InputError`.
     """
     names = cast("list[Any]", given)
     if isinstance(given, list) and all(isinstance(name, str) for name in names):
@@ -297,8 +295,6 @@ class _TomlReader:
         """Return the value of a field of a constraint.
 
         Errors: `InputError`.
-
-        Errors: `InputError`.
         """
         entries: Any = x
         if how in FRAMES:
@@ -434,8 +430,6 @@ class _TomlReader:
         """Return whether all names are coordinates; record a problem where they are not.
 
         Coordinates of a joint that is wrong itself are not recorded.
-
-        Coordinates of a joint that is wrong itself are not recorded.
         """
         names = [
             n for n in names if n not in self.failed and n.rpartition(".")[0] not in self.failed
@@ -470,8 +464,6 @@ class _TomlReader:
 
     def make_placement(self, given: dict[str, Any], prefix: str, body: object) -> Placement:
         """Return the placement of some of the keys `PLACE`.
-
-        Errors: `InputError`, `UnknownNameError`.
 
         Errors: `InputError`, `UnknownNameError`.
         """
@@ -514,8 +506,6 @@ class _TomlReader:
 
     def check_placement(self, X: Placement) -> Placement:
         """Return a placement whose parameters are known.
-
-        Errors: `UnknownNameError`.
 
         Errors: `UnknownNameError`.
         """

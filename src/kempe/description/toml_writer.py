@@ -170,8 +170,6 @@ def _make_constraint_table(constraint: Declared, dim: int) -> dict[str, Any]:
     """Return the table of a constraint.
 
     A constraint that is placed on bodies has the keys of joints.
-
-    A constraint that is placed on bodies has the keys of joints.
     """
     out: dict[str, Any] = {"name": constraint.name}
     placed = next((k for k, kind in BETWEEN.items() if constraint.of.kind == kind), "")

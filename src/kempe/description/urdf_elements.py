@@ -111,8 +111,6 @@ def strip_namespaces(robot: XmlElement) -> None:
 
     The namespace of the outermost element counts as URDF's, too.
 
-    The namespace of the outermost element counts as URDF's, too.
-
     Names without a prefix are URDF's, whatever the default namespace is: other readers know no
     namespaces.
     """
@@ -236,8 +234,6 @@ def check_robot_children(
     """Check the elements that a robot holds beside its links and joints.
 
     `links` are the names of its links, `joints` its joints by name.
-
-    `links` are the names of its links, `joints` its joints by name.
     """
     names = {*links, *joints}
     for element in robot.children:
@@ -273,8 +269,6 @@ def _note_followers(
     block: XmlElement, joints: Mapping[str, XmlElement], findings: Findings
 ) -> None:
     """Note elements that make joints follow each other for a simulator only.
-
-    Joints that have their own <mimic> are known.
 
     Joints that have their own <mimic> are known.
     """
@@ -698,8 +692,6 @@ def _read_range(
     lenient: bool,
 ) -> dict[str, Any]:
     """Return the keywords `limits` and `unstated` of a revolute or prismatic joint.
-
-    By the rules of URDF a missing bound is 0.
 
     By the rules of URDF a missing bound is 0.
     """

@@ -103,8 +103,6 @@ def find_cycle(bodies: Iterable[str], ends: Mapping[str, tuple[str, str]]) -> li
     """Return a cycle of bodies, its first repeated at the end.
 
     Every body must be the child of a joint.
-
-    Every body must be the child of a joint.
     """
     parent: dict[str, str] = {}
     for a, b in ends.values():
@@ -248,8 +246,6 @@ def read_urdf(
 
 def _choose_base(ground: str | None, base: str | None, srdf: Srdf | None) -> VirtualJoint | None:
     """Return the joint that moves the root link, from the option `base` and an SRDF.
-
-    None: the root link is the ground.
 
     None: the root link is the ground.
     """

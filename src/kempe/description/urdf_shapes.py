@@ -33,8 +33,6 @@ class Element:
     """Form of a kind of shape in URDF: for each size its attributes and their numbers of values.
 
     The number is 0 for text.
-
-    The number is 0 for text.
     """
 
     kind: type[Geometry]
@@ -75,8 +73,6 @@ _placed = lru_cache(4096)(place)
 
 def read_materials(outer: XmlElement, findings: Findings) -> dict[str, Color | None]:
     """Return the colours of a robot or visual by the names of their materials.
-
-    Materials that the visuals of its links define count, too; textures are noted.
 
     Materials that the visuals of its links define count, too; textures are noted.
     """
@@ -152,8 +148,6 @@ def find_only_shape(
     element: XmlElement, known: Container[str], findings: Findings, subject: str
 ) -> XmlElement | None:
     """Return the element inside <geometry> whose kind is known; several are a problem.
-
-    Readers differ in which of several elements they take.
 
     Readers differ in which of several elements they take.
     """
@@ -232,8 +226,6 @@ def _find_color(
     """Return the colour of a <material> in a visual, by its name, else its own.
 
     The first definition of a name counts, as in ROS.
-
-    The first definition of a name counts, as in ROS.
     """
     name = material.attributes.get("name", "")
     own = _read_color(material, subject, findings) if material.children else None
@@ -277,8 +269,6 @@ def format_shape(
     shape: Shape, origin: str, parameters: Mapping[str, float], quoted: Any
 ) -> Iterator[str]:
     """Iterate over the elements <visual> and <collision> of a shape.
-
-    `origin` is the text of the element <origin>, and `quoted` gives the text of an attribute.
 
     `origin` is the text of the element <origin>, and `quoted` gives the text of an attribute.
 

@@ -105,8 +105,6 @@ class UrdfWriter:
         """Refuse a graph that is no tree: each body but the ground must be the child of one joint.
 
         Joints must lead to each body from the ground.
-
-        Joints must lead to each body from the ground.
         """
         incoming: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
         for joint in self.m.joints.values():
@@ -170,8 +168,6 @@ class UrdfWriter:
 
     def resolve_couplings(self) -> None:
         """Sort couplings into constants (all sources locked) and mimics (one source left).
-
-        Others are problems.
 
         Others are problems.
         """
@@ -411,9 +407,6 @@ class UrdfWriter:
 
     def compute_origin(self, X: Placement) -> _Origin:
         """Return the numbers of a placement as position and roll, pitch, yaw.
-
-        They are those of the placement itself where it is a shift and roll, pitch, yaw; else they
-        are computed.
 
         They are those of the placement itself where it is a shift and roll, pitch, yaw; else they
         are computed.

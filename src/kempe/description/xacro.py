@@ -1,8 +1,6 @@
 """Expansion of xacro text to URDF text, on request, in a process with limits.
 
 xacro is a program, not data.
-
-xacro is a program, not data.
 """
 
 from __future__ import annotations
@@ -99,8 +97,6 @@ def check_xacro_arguments(given: Any) -> dict[str, str] | None:
 
     True means no arguments, False and None mean no expansion.
 
-    True means no arguments, False and None mean no expansion.
-
     Errors: `InputError` for names and values that xacro cannot have.
     """
     if given is None or isinstance(given, bool):
@@ -116,8 +112,6 @@ def check_xacro_arguments(given: Any) -> dict[str, str] | None:
 
 def _check_name(name: object) -> str:
     """Return the name of an argument.
-
-    Errors: `InputError`.
 
     Errors: `InputError`.
     """
@@ -210,8 +204,6 @@ def expand_xacro(
 
 def _parse_declared_arguments(mentions: Iterable[str]) -> dict[str, str | None]:
     """Return the arguments of a file with their defaults (None without default).
-
-    `mentions` are the texts that name arguments.
 
     `mentions` are the texts that name arguments.
     """

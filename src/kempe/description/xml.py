@@ -261,8 +261,6 @@ class _XmlBuilder:
         """Return the outermost element of the source.
 
         Errors: `DescriptionError`.
-
-        Errors: `DescriptionError`.
         """
         try:
             self.data = self.source.text.encode("utf-8")

@@ -1,10 +1,6 @@
 """Pictures of singular configurations and curves, with the lost and gained directions.
 
 Importing this module needs the extra [view].
-
-Importing this module needs the extra [view].
-
-Importing this module needs the extra [view].
 """
 
 from __future__ import annotations
@@ -60,8 +56,6 @@ def plot_singularities(
     found: Singularities, curves: SingularCurves | None, *, ax: Any = None, **options: Any
 ) -> tuple[Axes, ...]:
     """Draw singular configurations side by side, and the singular curves.
-
-    See `Singularities.plot`.
 
     See `Singularities.plot`.
     """

@@ -306,8 +306,6 @@ def plot_capability(
     """Draw the fraction of directions over x and y, in the layer nearest to a height [m].
 
     By default the layer is the middle one.
-
-    By default the layer is the middle one.
     """
     values = found.fraction
     title = found.frame

@@ -31,8 +31,6 @@ def draw_picture(
 
     Without `ax`, `make` makes the figure.
 
-    Without `ax`, `make` makes the figure.
-
     Without `ax` the figure is made by `make`.
     """
     if ax is not None and hasattr(page.check_axes(ax)[0], "get_zlim"):

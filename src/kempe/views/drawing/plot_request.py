@@ -87,8 +87,6 @@ class Subject:
         """List the name or number of each configuration with its position and text style.
 
         It stands at the point (d,) of the configuration that is farthest from the others.
-
-        It stands at the point (d,) of the configuration that is farthest from the others.
         """
         if not self.others or not any(self.titles):
             return []

@@ -68,8 +68,6 @@ def draw_picture(
 
     `bounds` are the points (n, 3) and the view of several pictures with one scale.
 
-    `bounds` are the points (n, 3) and the view of several pictures with one scale.
-
     Frames are marked: by a dot on their curve, or by their axes. Without `ax` the figure is made by
     `make`. `bounds` are points (n, 3) and the view for which the axes are made already, by `make_empty_axes`.
     """

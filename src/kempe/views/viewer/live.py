@@ -493,8 +493,6 @@ class Page:
         """Set a coordinate to the value of its slider.
 
         An end of a slider in degrees is the limit, without rounding.
-
-        An end of a slider in degrees is the limit, without rounding.
         """
         if unit == "deg":
             ends = (s for s in self.session.sliders if s.name == name)

@@ -243,8 +243,6 @@ class RigidParts:
         """Find the carrier of each piece of one name by the motion of its corners.
 
         It brings the corners to those of the piece's twin at another configuration.
-
-        It brings the corners to those of the piece's twin at another configuration.
         """
         slides = self._find_slide_carrier(scene, pieces[0])  # of one name all slide, or none
         if slides is not None:

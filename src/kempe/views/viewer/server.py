@@ -76,8 +76,6 @@ class Guard:
         """Answer a request: refuse it, or pass it on to `further`.
 
         The answer is None where a websocket opens.
-
-        The answer is None where a websocket opens.
         """
         host = _read_header(request, "Host")
         if host is None or not OWN_HOST.fullmatch(host):

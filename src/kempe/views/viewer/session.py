@@ -356,8 +356,6 @@ class Session:
         """Count the directions of a task in which the frame can move.
 
         It is the largest number at several configurations.
-
-        It is the largest number at several configurations.
         """
         if self.chart is None:
             return 0
