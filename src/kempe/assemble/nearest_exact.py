@@ -720,8 +720,11 @@ def _choose_best_fit(
 
 def _make_idealised(
     system: Model, changed: Sequence[_Found], home: Array, most: float
-) -> Idealised:
-    """Make the answer from the changed parts, with their differences in words."""
+) -> Idealised | None:
+    """Make the answer from the changed parts, with their differences in words.
+
+    None where the changes are so small that all placements stay what they are.
+    """
     m = system.mechanism
     new = system.mechanism
     size = 0.0
@@ -751,6 +754,8 @@ def _make_idealised(
         for (name, _), x in zip(list_row_names(system), off.tolist(), strict=True):
             if name in own:
                 absorbed[name] = max(x, absorbed.get(name, 0.0))
+    if size == 0.0:
+        return None
     reported = [
         Change(name, side, *_format_pose_change(old, becomes, m.dim, SHOWN * size), *by)
         for name, side, old, becomes, *by in changes
