@@ -61,7 +61,7 @@ __all__ = ["FrameLike", "System"]
 def open_loops(system: SystemType, joints: str | Iterable[str] | None = None) -> SystemType:
     """Return the system without these joints, by default the cut joints; see `System.open_loops`."""
     given = [joints] if isinstance(joints, str) else joints
-    names = system.structure.closures if given is None else tuple(map(str, given))
+    names = system.structure.closures if given is None else tuple(dict.fromkeys(map(str, given)))
     if not names:
         tied = system.kind.endswith(("loop", "loops"))
         said = "constraints close its loops, no joints" if tied else f"it is a {system.kind}"
@@ -1303,9 +1303,10 @@ class System(Model, Pictured):
         Raises
         ------
         InputError
-            For wrong shapes or values, and values of followers that do not fit.
+            For wrong shapes or values, other words for `branch` or `prefer`, and values of
+            followers that do not fit.
         UnknownNameError
-            If there is no such coordinate, frame, branch or preference.
+            If there is no such coordinate or frame.
 
         Notes
         -----

@@ -464,6 +464,11 @@ def test_what_is_left_open_is_nearest(name, hunt):
     assert at_limits
 
 
+def test_names_that_stand_twice_are_refused():
+    with pytest.raises(InputError, match="a coordinate or frame twice: A, A"):
+        kempe.load("four_bar").loops.assembler(["A", "A"])
+
+
 def test_large_systems_are_sparse():
     """The envelope of J J^T of a row of 200 four-bars grows with their number, not with its square."""
 

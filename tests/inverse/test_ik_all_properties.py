@@ -177,3 +177,21 @@ def test_targets_that_are_no_numbers_are_said_by_each_method(name):
     frame = arm.frame_names[-1]
     X = np.stack([arm.fk(arm.mid, frame), np.full((4, 4), np.nan)])
     assert arm.ik_all(X, frame).code[1] == kempe.Status.BAD_INPUT
+
+
+@pytest.mark.parametrize("word", ["UTTPR", "UTTTR", "UTPTR", "TUTPR"])
+def test_chains_of_which_the_first_choices_hold_a_freedom(word):
+    """Many spare slides: joints are held one by one, and solutions reach the pose."""
+    types = {"P": "prismatic", "R": "revolute", "T": "translation", "U": "universal"}
+    rng = np.random.default_rng(0)
+    m = kempe.Mechanism(word, dim=3)
+    last = "ground"
+    for k, letter in enumerate(word):
+        body = m.body(f"b{k}").name
+        at = rng.normal(size=3)
+        m.joint(f"j{k}", types[letter], last, body, at=at, rpy=rng.uniform(-3, 3, 3))
+        last = body
+    s = m.build()
+    X = s.fk(s.neutral, last)
+    answer = s.ik_all(X, last)
+    assert len(answer) and np.abs(s.fk(answer.q, last) - X).max() < 1e-9

@@ -394,3 +394,11 @@ def test_very_many_turns_are_one_turn_of_that_angle(angle):
         way = car.manoeuvre(start, goal)
         assert way and len(way.pieces) <= 3 and np.array_equal(way.q[-1], goal)
         assert sum(abs(p.angle) for p in way.pieces) <= abs(angle) * (1.0 + 1e-12) + 2.0 * np.pi
+
+
+def test_what_stays_where_it_is_says_where_wheels_and_heading_end():
+    coin = wheels.coin().manoeuvre(np.zeros(4), [0, 0, 0, 3.0])
+    assert coin and coin.status == "the axle stays where it is; 'roll' rolls along, and ends at 0"
+    turned = wheels.knife().manoeuvre(np.zeros(3), [0, 0, 2 * np.pi], radius=1.0)
+    assert "1 whole turn" in turned.status
+    assert wheels.knife().manoeuvre(np.zeros(3), [0, 0, 0]).status == "start and goal are the same"

@@ -173,9 +173,12 @@ def choose_tolerated_system(system: Model, tolerance: float | str) -> tuple[Mode
 def bind_assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
     """Return the `Assembler` for these known names, reusable for many sets of known values.
 
-    Errors: `UnknownNameError`, `InputError`.
+    Errors: `UnknownNameError`; `InputError` for a name that stands twice.
     """
-    return get_assembler(system, read_names(known, "known"))
+    names = read_names(known, "known")
+    if len(set(names)) < len(names):
+        raise InputError(f"known names a coordinate or frame twice: {', '.join(names)}")
+    return get_assembler(system, names)
 
 
 @keep_answers

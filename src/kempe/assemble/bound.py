@@ -976,7 +976,7 @@ class Assembler:
             lead = np.broadcast_shapes(*shapes) if any(shapes) else ()
         except ValueError:
             raise InputError(
-                f"known values and near have shapes that do not fit together: {shapes}"
+                f"known values and start have shapes that do not fit together: {shapes}"
             ) from None
         starts = np.empty((*lead, system.nq))
         starts[:] = base

@@ -235,15 +235,12 @@ def _prove_out_of_reach(problem: Demands, i: int) -> Evidence | None:
     place, turned = (
         compute_excess_distances(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
     )
-    slides: dict[str, None] = {}
+    slides: list[str] = []
     if task.frame_shape is not None:
-        slides = {
-            name: None
-            for end in task.frames
-            if end is not None
-            for name in list_slides(problem.system, end)
-        }
-    return make_reach_evidence(problem.system, place, turned, task=task.label, slides=list(slides))
+        ends = [list_slides(problem.system, end) for end in task.frames if end is not None]
+        # those that move both frames do not change the distance between them
+        slides = [name for end in ends for name in end if sum(name in x for x in ends) == 1]
+    return make_reach_evidence(problem.system, place, turned, task=task.label, slides=slides)
 
 
 def _explain_single_task(problem: Demands, q: Array, i: int, among: bool) -> Evidence:

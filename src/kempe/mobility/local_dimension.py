@@ -62,8 +62,9 @@ SAME_PLANE = 0.2
 """Tangent spaces nearer to each other (root sum square of sines) belong to one branch."""
 SPREAD = 0.7
 """Singular value of points around a point of a branch up to which a direction is none of the
-branch, but its bend or its distance to the point: it is at least the root of 2 for those of the
-branch, for the points are sought both ways along the axes of a frame."""
+branch, but its bend or its distance to the point. Points are sought both ways along the axes of a
+frame: where both are found it is at least the root of 2 for directions of the branch, where one of
+each is found at least 1."""
 SAME_LIMIT = 0.1
 """The same on the smallest sphere, where they are nearly those at the configuration itself."""
 STEP = 0.2

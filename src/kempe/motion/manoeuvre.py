@@ -170,13 +170,14 @@ class Manoeuvre(Motion):
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
         if not self.success:
             return self.reason
+        end = f"; {self.reason}" if self.reason else ""
         if not self.pieces:
-            return "start and goal are the same"
+            return f"the axle stays where it is{end}" if end else "start and goal are the same"
         text = (
             f"{format_count(len(self.pieces), 'piece')}, {self.length:.6g} m in "
             f"{self.duration:.6g} s, {self.cusps or 'no'} cusp{'s' * (self.cusps != 1)}"
         )
-        return text + self.reason
+        return text + end
 
     def _list_notes(self, degrees: bool = False) -> Sequence[str]:
         return [*(f"{p.start:8.4g} s: {p}" for p in self.pieces), *super()._list_notes()]
@@ -438,7 +439,7 @@ def manoeuvre(
     with limit_preparation_time(USUAL, time):
         axle = find_axle(system, q)
     motion = None
-    reason = ""
+    reason = "no way was found"
     late = False
     try:
         with time:
@@ -455,9 +456,11 @@ def manoeuvre(
         late = True
         reason = f"not found: {time.describe_end_reason(error)} came" + (reason and f"; {reason}")
     if motion is None:
-        return Manoeuvre(
-            system, q[None], np.zeros(1), (), 0.0, not reason, reason, (axle.body,), late=late
-        )
+        x = q[None].copy()
+        good = not reason
+        if good:
+            x[0], reason = _find_end(axle, 0.0, x, end, read_mapping(goal))
+        return Manoeuvre(system, x, np.zeros(1), (), 0.0, good, reason, (axle.body,), late=late)
     t = motion.list_times(int(samples))
     x, v = motion.evaluate_motion(t)
     slip = compute_slip(system, t, x, v)
@@ -467,7 +470,7 @@ def manoeuvre(
             "not those of an axle everywhere"
         )
     x[0] = q
-    x[-1], note = _find_end(axle, motion, x, end, read_mapping(goal))
+    x[-1], note = _find_end(axle, motion.total, x, end, read_mapping(goal))
     return Manoeuvre(system, x, t, motion.pieces, slip, True, note, (axle.body,), motion)
 
 
@@ -569,38 +572,38 @@ def _describe_violation(motion: ExactManoeuvre, samples: int) -> str:
 
 
 def _find_end(
-    axle: Axle, motion: ExactManoeuvre, x: Array, goal: Array, named: Mapping[str, Any] | None
+    axle: Axle, length: float, x: Array, goal: Array, named: Mapping[str, Any] | None
 ) -> tuple[Array, str]:
     """Find the end (nq,) to the last bit, and describe in what it differs from the goal.
 
-    It is the goal, with the wheels and whole turns of the last of the samples (n, nq); `named` are
-    the coordinates that the goal names, None for all. Errors: `UnsupportedError` where the samples
-    do not lead there.
+    It is the goal, with the wheels and whole turns of the last of the samples (n, nq) of a motion
+    of this length; `named` are the coordinates that the goal names, None for all. Errors:
+    `UnsupportedError` where the samples do not lead there.
     """
     system = axle.system
     layout = system.structure.layout
     names = system.structure.velocity_names
     end = goal.copy()
-    text = ""
+    notes: list[str] = []
     i = axle.own_q_places[2]
     turns = round(float(axle.gear * (x[-1, i] - goal[i])) / (2.0 * math.pi))
     if turns:
         end[i] += 2.0 * math.pi * turns / axle.gear
         whole = format_count(abs(turns), "whole turn")
-        text += f"; the heading ends {whole} from the number of the goal"
+        notes.append(f"the heading ends {whole} from the number of the goal")
     for v in axle.driven:
         i = axle.q_places[v]
         end[i] = x[-1, i]
         if (named is None or names[v] in named) and abs(end[i] - goal[i]) > SLIP:
-            text += f"; {names[v]!r} rolls along, and ends at {end[i]:.6g}"
+            notes.append(f"{names[v]!r} rolls along, and ends at {end[i]:.6g}")
     off = np.abs(layout.compute_difference(x[-1], end))
     size = float(np.abs(x[:, layout.vector_q]).max(initial=0.0))
-    if off.max() > 1e-12 * (1.0 + size + motion.total):
+    if off.max() > 1e-12 * (1.0 + size + length):
         raise UnsupportedError(
             f"{system.name}: {names[int(np.argmax(off))]!r} would miss the goal by "
             f"{off.max():.3g}: this radius is too large beside the distance for the digits of numbers"
         )
-    return end, text
+    return end, "; ".join(notes)
 
 
 # ---- what is said of ways to a configuration

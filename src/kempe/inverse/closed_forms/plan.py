@@ -687,6 +687,14 @@ def _iterate_lock_choices(
             yield choice
         if len(seen) >= MOST_CHOICES:
             return
+    if not seen:  # each of the first choices took a freedom: hold joints one by one
+        held: list[int] = []
+        for i in order:
+            rest = [k for k in unknown if k != i and k not in held]
+            if len(held) < extra and count_chain_freedoms(lines, free, rest) == rank:
+                held.append(i)
+        if len(held) == extra:
+            yield tuple(held)
 
 
 def _are_all_slides_held(lines: Lines, unknown: list[int], choice: tuple[int, ...]) -> bool:
