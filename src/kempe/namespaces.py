@@ -661,7 +661,7 @@ class ReachStudies(Namespace):
         Parameters
         ----------
         targets, frame, task
-            Targets in the ground frame, as in `poses`.
+            Poses (n, 4, 4) in the ground frame, and what counts of them, as in `poses`.
         box
             Range (low, high) or one number for each of "x", "y", "z" in metres and "yaw" in
             radians; others are 0.

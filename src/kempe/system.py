@@ -591,10 +591,11 @@ class System(Model, Pictured):
         frame
             Name of the body or frame.
         kind
-            "reachable" (default): places in some orientation. "constant-orientation": places in one
+            "reachable": places in some orientation. "constant-orientation": places in one
             `orientation`. "dexterous": places in several orientations (default: 180 angles in the
             plane, 256 evenly spread rotations in space). "orientation": orientations in which the
-            frame reaches the place `at`.
+            frame reaches the place `at`. Default: "constant-orientation" with one `orientation`,
+            "dexterous" with a list of them, "orientation" with `at`, else "reachable".
         orientation
             Angles in radians in the plane; in space rotations (..., 3, 3), or roll, pitch and yaw
             (3,).
@@ -1118,7 +1119,7 @@ class System(Model, Pictured):
         frame
             Name of the body or frame.
         dt
-            Duration of the step in seconds.
+            Duration of the step in seconds, which has to be given.
         velocity_limits
             Largest speeds: a number or (nv,), in rad/s and m/s. Default: those of the system, else
             pi rad/s and 1 m/s. `math.inf` removes them.
@@ -1138,7 +1139,9 @@ class System(Model, Pictured):
         Raises
         ------
         InputError
-            For wrong shapes or values, and for open loops.
+            For wrong shapes or values, without `dt`, and for open loops.
+        UnknownNameError
+            If there is no such frame.
 
         Notes
         -----

@@ -135,7 +135,7 @@ def ik_step(
     if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
         raise InputError(
             f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one "
-            f"configuration ({system.nq},), a positive time and a number not negative"
+            f"configuration ({system.nq},), a positive time dt in seconds and a number not negative"
         )
     speed = (
         list_speed_limits(system)
