@@ -1,4 +1,4 @@
-"""The moving pictures of the README: `python docs/readme_pictures.py [NAME ...]` draws them anew.
+"""The moving pictures of the README: `python tools/readme_pictures.py [NAME ...]` draws them anew.
 
 Jansen's leg with the curve of its foot, the page on which a Panda is dragged by the mouse (it needs
 playwright and Chromium), and both spaces of the two-link arm. What has changed is looked at before
@@ -19,7 +19,8 @@ from PIL import Image
 
 import kempe
 
-STATIC = Path(__file__).parent / "_static"
+ROOT = Path(__file__).parents[1]
+STATIC = ROOT / "docs" / "_static"
 HIGH = 300
 """Pixels of a picture from top to bottom: three stand side by side."""
 COLOURS = 64
@@ -88,7 +89,7 @@ def draw_page() -> Iterator[Image.Image]:
     """Drag the hand of a Panda on its page, then show other solutions as ghosts."""
     from playwright.sync_api import sync_playwright
 
-    sys.path.insert(0, str(STATIC.parents[1] / "tests"))
+    sys.path.insert(0, str(ROOT / "tests"))
     from chromium import CHROMIUM, SOFTWARE
 
     panda = kempe.load("panda")
