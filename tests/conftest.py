@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import itertools
 import os
@@ -18,7 +19,6 @@ import hunts
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, settings
-from hypothesis.internal.conjecture import providers
 
 FAR = 1e6
 """Seconds that are added to the usual time limits."""
@@ -56,9 +56,13 @@ def pytest_configure(config: pytest.Config) -> None:
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large],
     )
     settings.load_profile("kempe")
-    # Else cases have constants from the modules imported so far, and depend on the order of tests.
-    if hasattr(providers, "_get_local_constants"):
-        providers._get_local_constants = providers.Constants
+    # Else cases have constants from the modules imported so far, and depend on the order of tests;
+    # earlier versions do not look for them.
+    with contextlib.suppress(ImportError):
+        from hypothesis.internal.conjecture import providers
+
+        if hasattr(providers, "_get_local_constants"):
+            providers._get_local_constants = providers.Constants
 
 
 @pytest.hookimpl(tryfirst=True)
