@@ -17,9 +17,12 @@ RTOL = 1e-6
 after a change."""
 
 
-ROUNDED = "ik_step"
-"""Where hardly any of the wanted motion is possible, rounding decides which joints are at a limit: one
-commit answers differently on processors with and without AVX-512."""
+ROUNDED = ("ik_step", "spaces", "trace")
+"""Verbs that rounding decides: which joints are at a limit where hardly any motion is possible, where
+a sample closes, which way a trace begins. One commit answers differently on processors with AVX-512,
+as the record's, and without."""
+CPU = Path("/proc/cpuinfo")
+LEFT_OUT = () if CPU.is_file() and "avx512f" in CPU.read_text() else ROUNDED
 
 
 @pytest.mark.slow
@@ -27,7 +30,11 @@ commit answers differently on processors with and without AVX-512."""
 def test_answers_are_those_of_the_record(name):
     if name.endswith(".urdf") and not golden.ROBOTS:
         pytest.skip("example-robot-data is not installed")
-    found = [x for x in golden.differences(name, RTOL) if f"{name}, {ROUNDED}," not in x]
+    found = [
+        x
+        for x in golden.differences(name, RTOL)
+        if not x.startswith(tuple(f"{name}, {verb}," for verb in LEFT_OUT))
+    ]
     assert not found, "\n".join(found)
 
 
