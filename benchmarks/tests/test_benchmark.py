@@ -76,7 +76,9 @@ def test_table():
 
 def test_a_table_is_shown_in_a_terminal(capsys):
     rows = [timing.Row("Kempe", "f(x[0])", 1.5), timing.Row("Other", "g", 3.0)]
-    terminal.print_text(benchmark.shown(timing.Table("Poses [all]", "s", rows, remarks=["one run"])))
+    terminal.print_text(
+        benchmark.shown(timing.Table("Poses [all]", "s", rows, remarks=["one run"]))
+    )
     said = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert said[:2] == [["Poses", "[all]"], ["library", "call", "s", "ratio"]]
     assert said[2:5] == [["Kempe", "f(x[0])", "1.5", "1"], ["Other", "g", "3", "2"], ["one", "run"]]
