@@ -439,14 +439,18 @@ def test_stretched_arms_inside_the_workspace_are_never_said_to_be_outside(hunt):
         )
 
 
-def test_slides_that_move_both_frames_are_no_reason():
-    """The lift of a torso does not change the distance between its two hands."""
+@pytest.mark.parametrize(
+    ("arm", "reasons"), [("revolute", ""), ("prismatic", " and the limits of 'l', 'r'")]
+)
+def test_slides_that_move_both_frames_are_no_reason(arm, reasons):
+    """The lift of a torso does not change the distance between its two hands; slides of arms do."""
     m = kempe.Mechanism("two arms", dim=3)
     torso = m.body("torso")
     m.prismatic("lift", m.ground, torso, limits=(0, 1))
     for side, y in (("l", 0.2), ("r", -0.2)):
-        m.revolute(side, torso, m.body(f"{side} arm"), at=(0, y, 0))
+        m.joint(side, arm, torso, m.body(f"{side} arm"), at=(0, y, 0), limits=(-1, 1))
         m.frame(f"{side} hand", f"{side} arm", at=(0.5, 0, 0))
     far = tasks.RelativePosition("l hand", "r hand", (9, 0, 0))
     answer = m.build().ik([far], budget=kempe.Budget(starts=2))
-    assert "by the lengths of the links" in answer.status and "lift" not in answer.status
+    assert f"by the lengths of the links{reasons}; q is" in answer.status, answer.status
+    assert "lift" not in answer.status

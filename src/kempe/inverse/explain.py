@@ -36,7 +36,6 @@ from kempe.inverse.chain.serial_chain import (
     find_motion_masks,
     has_shared_coordinates,
     is_moved_by_loop,
-    list_slides,
 )
 from kempe.inverse.derivative import compute_derivative
 from kempe.inverse.multi_start import solve_targets
@@ -46,7 +45,11 @@ from kempe.joints import P
 from kempe.kernels.forward.table_layout import MULTIPLIER, get_row_numbers
 from kempe.model.configurations import sample_configurations
 from kempe.numerics.clock import TimeLimit
-from kempe.numerics.length_bounds import GROUND, compute_reach_bounds
+from kempe.numerics.length_bounds import (
+    GROUND,
+    compute_reach_bounds,
+    list_sliding_coordinates,
+)
 from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import correct_rotations
 from kempe.spatial import Array
@@ -141,7 +144,7 @@ def prove_beyond_lengths(task: FrameProblem, target: Array) -> Evidence | None:
         turned,
         off if off > task.tolerance[0] else 0.0,
         point=task.name == "position",
-        slides=list_slides(task.system, task.frame),
+        slides=list_sliding_coordinates(task.system, task.system.structure.table.at[task.frame]),
     )
 
 

@@ -25,7 +25,6 @@ from kempe.answers.evidence import (
 from kempe.answers.problem import Choice, Problem, select_solver
 from kempe.answers.wording import describe_immovable_coordinates
 from kempe.inverse.answer import Reached, SolutionRow
-from kempe.inverse.chain.serial_chain import list_slides
 from kempe.inverse.explain import suggest_tolerance
 from kempe.inverse.numeric import SOLVERS
 from kempe.inverse.tasks.demands import STARTS
@@ -33,6 +32,8 @@ from kempe.inverse.tasks.freedoms import Local, analyse_freedoms
 from kempe.inverse.tasks.proofs import compute_excess_distances, list_contradictions
 from kempe.inverse.tasks.search import make_checked_answer
 from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.own_tree import remove_cut_marks
+from kempe.numerics.length_bounds import list_sliding_coordinates
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -236,10 +237,10 @@ def _prove_out_of_reach(problem: Demands, i: int) -> Evidence | None:
         compute_excess_distances(problem, task, problem.goals[i]).reshape(-1, 2)[0].tolist()
     )
     slides: list[str] = []
-    if task.frame_shape is not None:
-        ends = [list_slides(problem.system, end) for end in task.frames if end is not None]
-        # those that move both frames do not change the distance between them
-        slides = [name for end in ends for name in end if sum(name in x for x in ends) == 1]
+    if place or turned:
+        system = remove_cut_marks(problem.system)
+        at = system.structure.table.at
+        slides = list_sliding_coordinates(system, *(at[f] for f in task.frames[::-1] if f))
     return make_reach_evidence(problem.system, place, turned, task=task.label, slides=slides)
 
 

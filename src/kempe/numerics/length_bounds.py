@@ -29,7 +29,7 @@ from kempe.kernels.forward.table_layout import (
     get_row_numbers,
 )
 from kempe.model.gauge import regauge_table
-from kempe.model.primitive_table import End, extract_chain
+from kempe.model.primitive_table import End, Table, extract_chain
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -59,14 +59,27 @@ class Links(NamedTuple):
         return float(np.abs(self.ends[self.kinds == SLIDE]).max(axis=1, initial=0.0).sum())
 
 
+def _extract_chain(system: Model, tip: End, base: End) -> tuple[Table, np.ndarray]:
+    """Extract the table of the chain between two frames, and the indices of its coordinates in v."""
+    table = replace(system.structure.table, at={"tip": tip, "base": base})
+    chain, _, v_index = extract_chain(table, "tip", "base")
+    return chain, v_index
+
+
+def list_sliding_coordinates(system: Model, tip: End, base: End = GROUND) -> list[str]:
+    """List the names of the sliding coordinates of a chain, whose limits bound its reach."""
+    chain, v_index = _extract_chain(system, tip, base)
+    slides = np.unique(v_index[chain.iv[chain.kind == SLIDE]])
+    return [system.structure.velocity_names[v] for v in slides]
+
+
 def _list_equivalent_links(system: Model, tip: End, base: End) -> tuple[Iterator[Links], int]:
     """List equivalent links of the chain between two frames, and count its coordinates.
 
     The first are as described. Sums of lengths depend on where along the axis of a joint its frame
     stands, so the second have frames at common normals.
     """
-    table = replace(system.structure.table, at={"tip": tip, "base": base})
-    chain, _, v_index = extract_chain(table, "tip", "base")
+    chain, v_index = _extract_chain(system, tip, base)
     packed = chain.pack_arrays(["tip"])
     limits = system.structure.limits[v_index]
     return (_read_links(*a, limits) for a in (packed, regauge_table(*packed))), len(v_index)

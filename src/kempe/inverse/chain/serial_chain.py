@@ -133,16 +133,6 @@ def find_motion_masks(chain: Chain) -> tuple[np.ndarray, np.ndarray]:
     return turns, slides
 
 
-def list_slides(system: Model, frame: str) -> list[str]:
-    """List the sliding coordinates of a frame's chain, whose limits bound its reach."""
-    if find_obstacle(system, frame) is not None:
-        return []
-    chain = find_chain(system, frame)
-    rows = get_row_integers(chain.ints)
-    local = sorted(set(rows[rows[:, KIND] == SLIDE, V_INDEX].tolist()))
-    return [system.structure.velocity_names[int(chain.v_index[v])] for v in local]
-
-
 def is_moved_by_loop(system: Model, name: str) -> bool:
     """Return whether the motion of a frame depends on a closed loop or a declared constraint."""
     why = find_obstacle(system, name) or ""
