@@ -303,6 +303,15 @@ def read_names(names: object, what: str) -> tuple[str, ...]:
     return out  # type: ignore[return-value]
 
 
+def read_distinct_names(names: object, what: str) -> tuple[str, ...]:
+    """Read a list of names, each of which may occur once. Errors: `InputError`."""
+    out = read_names(names, what)
+    if len(set(out)) < len(out):
+        twice = next(name for name in out if out.count(name) > 1)
+        raise InputError(f"{what} names {twice!r} twice")
+    return out
+
+
 # ---- numbers
 
 

@@ -465,8 +465,14 @@ def test_what_is_left_open_is_nearest(name, hunt):
 
 
 def test_names_that_stand_twice_are_refused():
-    with pytest.raises(InputError, match="a coordinate or frame twice: A, A"):
-        kempe.load("four_bar").loops.assembler(["A", "A"])
+    s = kempe.load("four_bar")
+    for call in (
+        lambda: s.loops.assembler(["A", "A"]),
+        lambda: s.loops.closed_form(["A", "A"]),
+        lambda: s.loops.jacobian(s.assemble({"A": 0.3}).q, ["A", "A"], ["D"]),
+    ):
+        with pytest.raises(InputError, match="names 'A' twice"):
+            call()
 
 
 def test_large_systems_are_sparse():

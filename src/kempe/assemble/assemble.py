@@ -16,7 +16,7 @@ from kempe.answers.problem import (
     record_choice,
     select_solver,
 )
-from kempe.arguments import explain_errors, read_flag, read_names
+from kempe.arguments import explain_errors, read_distinct_names, read_flag
 from kempe.arrays import unwrap_scalar
 from kempe.assemble.answer import Assembly
 from kempe.assemble.bound import LOOSEST, TOLERANCE, USUAL, Assembler, get_assembler_as_given
@@ -175,10 +175,7 @@ def bind_assembler(system: Model, known: Iterable[str] = ()) -> Assembler:
 
     Errors: `UnknownNameError`; `InputError` for a name that stands twice.
     """
-    names = read_names(known, "known")
-    if len(set(names)) < len(names):
-        raise InputError(f"known names a coordinate or frame twice: {', '.join(names)}")
-    return get_assembler(system, names)
+    return get_assembler(system, read_distinct_names(known, "known"))
 
 
 @keep_answers

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from kempe.answers.answer import Answer
 from kempe.answers.known_values import find_source_values, list_known_tasks
-from kempe.arguments import explain_errors, explain_method_errors, read_names
+from kempe.arguments import explain_errors, explain_method_errors, read_distinct_names
 from kempe.arrays import read_reals
 from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, build_parts
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
@@ -470,7 +470,7 @@ def find_closed_form(system: Model, known: Sequence[str] | str) -> Plan | Incomp
     coordinates, their followers, and dyads of three rigid clusters (Assur groups of the second
     class). Errors: `UnknownNameError` for the names, `InputError` for one that is not in q.
     """
-    return _decompose_system(system, read_names(known, "known"))
+    return _decompose_system(system, read_distinct_names(known, "known"))
 
 
 def solve_branch(
@@ -516,8 +516,6 @@ def _decompose_system(system: Model, names: tuple[str, ...]) -> Plan | Incomplet
             else f"it is held at {follower.offset:g}"
         )
         raise InputError(f"coordinate {name!r} is not part of q: {follows}")
-    if len(set(names)) < len(names):
-        raise InputError(f"known names a coordinate twice: {', '.join(names)}")
     parts = build_parts(system)
     if parts.trouble:
         return Incomplete(f"no closed form: {parts.trouble}")

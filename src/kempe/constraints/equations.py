@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import numpy as np
 
-from kempe.arguments import FOREIGN, read_flag, read_names
+from kempe.arguments import FOREIGN, read_distinct_names, read_flag
 from kempe.arrays import is_array, is_sequence
 from kempe.constraints.base import LARGEST, Bounded, Constraint, Names, Op, Row, kind
 from kempe.constraints.builder import Builder, rename_inputs
@@ -587,11 +587,7 @@ class _WrittenKind(Constraint):
 
     def _read_names(self, given: Any) -> tuple[str, ...]:
         """Read the names of coordinates, each of which may occur once. Errors: `InputError`."""
-        names = read_names(given, f"of of {self.message_name}")
-        twice = [n for n in names if names.count(n) > 1]
-        if twice:
-            raise InputError(f"{self.message_name} names the coordinate {twice[0]!r} twice")
-        return names
+        return read_distinct_names(given, f"of of {self.message_name}")
 
     def _record_user_function(
         self, function: Callable[..., Any], shape_of: Callable[[tuple[int, ...]], None]

@@ -14,7 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import explain_errors, explain_method_errors, read_names
+from kempe.arguments import (
+    explain_errors,
+    explain_method_errors,
+    read_distinct_names,
+    read_names,
+)
 from kempe.arrays import read_reals
 from kempe.assemble.nearest_exact import answer_within_tolerance, describe_nearest
 from kempe.constraints.tape import TWIST
@@ -181,8 +186,8 @@ def compute_loop_jacobian(
 
 
 def _read_names(names: Sequence[str]) -> list[str]:
-    """Read the names of inputs or outputs, at least one. Errors: `InputError`."""
-    out = list(read_names(names, "inputs or outputs"))
+    """Read the names of inputs or outputs, at least one, each once. Errors: `InputError`."""
+    out = list(read_distinct_names(names, "inputs or outputs"))
     if not out:
         raise InputError("inputs and outputs must each name at least one coordinate or frame")
     return out
