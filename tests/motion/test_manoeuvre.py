@@ -402,3 +402,8 @@ def test_what_stays_where_it_is_says_where_wheels_and_heading_end():
     turned = wheels.knife().manoeuvre(np.zeros(3), [0, 0, 2 * np.pi], radius=1.0)
     assert "1 whole turn" in turned.status
     assert wheels.knife().manoeuvre(np.zeros(3), [0, 0, 0]).status == "start and goal are the same"
+
+
+def test_a_radius_without_a_way_is_no_success():
+    none = wheels.knife().manoeuvre([0, 0, 0], [1, 1, 1], radius=5e-324)
+    assert not none and none.status == "no way was found to rounding"

@@ -439,7 +439,7 @@ def manoeuvre(
     with limit_preparation_time(USUAL, time):
         axle = find_axle(system, q)
     motion = None
-    reason = "no way was found"
+    reason = ""
     late = False
     try:
         with time:
@@ -450,6 +450,8 @@ def manoeuvre(
                 if not reason:
                     motion = made
                     break
+            else:
+                reason = reason or "no way was found to rounding"
     except Refused as refusal:
         reason = str(refusal)
     except TimeUp as error:
