@@ -10,7 +10,7 @@ bounds hold with them, too: what lies outside is proven to be impossible.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -35,6 +35,8 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
+Packed = tuple[np.ndarray, np.ndarray]
+"""The integers and numbers of a packed chain, as kernels take them."""
 GROUND: End = (-1, np.eye(4), False)
 """The ground as the base of a chain."""
 
@@ -128,7 +130,20 @@ def compute_reach_bounds(
     the joint before.
     """
     links, freedoms = _list_equivalent_links(system, tip, base)
-    return tuple(b for x in links for b in _bound_reach(x) if math.isfinite(b.largest)), freedoms
+    return _bound_reaches(links), freedoms
+
+
+def compute_packed_reach_bounds(packed: Iterable[Packed], limits: Array) -> tuple[ReachBound, ...]:
+    """Compute bounds of the reach of a chain with limits (n, 2) from equivalent packed forms of it.
+
+    They are those of `compute_reach_bounds`, for a caller who has packed the chain.
+    """
+    return _bound_reaches(_read_links(*arrays, limits) for arrays in packed)
+
+
+def _bound_reaches(links: Iterable[Links]) -> tuple[ReachBound, ...]:
+    """Bound the reach by equivalent links of a chain, without bounds that are infinite."""
+    return tuple(b for x in links for b in _bound_reach(x) if math.isfinite(b.largest))
 
 
 def _bound_reach(links: Links) -> Iterator[ReachBound]:

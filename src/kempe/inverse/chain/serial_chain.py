@@ -26,7 +26,7 @@ from kempe.kernels.forward.table_layout import (
 from kempe.model.gauge import regauge_table
 from kempe.model.model import keep_answers
 from kempe.model.primitive_table import extract_chain
-from kempe.numerics.length_bounds import ReachBound, compute_reach_bounds
+from kempe.numerics.length_bounds import ReachBound, compute_packed_reach_bounds
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ def _build_chain(system: Model, name: str) -> Chain:
             and abs(rows[0]) == 1.0
             and table.kind[table.iv == iv][0] == TURN
         )
-    bounds, _ = compute_reach_bounds(system, system.structure.table.at[name])
+    bounds = compute_packed_reach_bounds((packed, (ints, floats)), limits.T)
     base = move_inside_limits(system, system.neutral[None].copy())
     no_seed = np.empty((1, 0, len(q_index)))
     return Chain(
