@@ -1,8 +1,11 @@
-"""Where Chromium is, and how it draws in the tests of pages."""
+"""Where Chromium is, how it draws in the tests of pages, and where things are on a page."""
 
 from __future__ import annotations
 
 import shutil
+from typing import Any
+
+import numpy as np
 
 CHROMIUM = next(
     (p for n in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(n))), None
@@ -17,3 +20,16 @@ SOFTWARE = [
 ]
 """Drawing by the processor, which takes a quarter of the time where a pixel is two wide and two
 high: even widths."""
+
+
+def project_point(camera: Any, p: Any) -> tuple[float, float]:
+    """Where a point (3,) is on the page of a pinhole camera of viser."""
+    z = camera.look_at - camera.position
+    z = z / np.linalg.norm(z)
+    x = np.cross(z, camera.up_direction)
+    x = x / np.linalg.norm(x)
+    v = np.asarray(p) - camera.position
+    wide = 0.5 * camera.image_width
+    high = 0.5 * camera.image_height
+    scale = high / np.tan(0.5 * camera.fov) / (v @ z)
+    return wide + scale * (v @ x), high - scale * (v @ np.cross(x, z))

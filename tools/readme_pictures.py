@@ -12,7 +12,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -90,7 +89,7 @@ def draw_page() -> Iterator[Image.Image]:
     from playwright.sync_api import sync_playwright
 
     sys.path.insert(0, str(ROOT / "tests"))
-    from chromium import CHROMIUM, SOFTWARE
+    from chromium import CHROMIUM, SOFTWARE, project_point
 
     panda = kempe.load("panda")
     with (
@@ -113,7 +112,7 @@ def draw_page() -> Iterator[Image.Image]:
             """Find where arrow k of the hand is on the page."""
             X = page.session.pose
             p = X[:3, 3] + 0.2 * page.nodes.drawn.rigid.size * X[:3, k]
-            return np.array(project(page.client.camera, p))
+            return np.array(project_point(page.client.camera, p))
 
         def shoot() -> Image.Image:
             tab.wait_for_timeout(150)
@@ -132,17 +131,6 @@ def draw_page() -> Iterator[Image.Image]:
         for _ in range(8):
             yield shoot()
         browser.close()
-
-
-def project(camera: Any, p: np.ndarray) -> tuple[float, float]:
-    """Return where a point (3,) is on the page of a pinhole camera."""
-    z = (camera.look_at - camera.position) / np.linalg.norm(camera.look_at - camera.position)
-    x = np.cross(z, camera.up_direction)
-    x /= np.linalg.norm(x)
-    v = p - camera.position
-    scale = 0.5 * camera.image_height / np.tan(0.5 * camera.fov) / (v @ z)
-    y = np.cross(x, z)
-    return 0.5 * camera.image_width + scale * (v @ x), 0.5 * camera.image_height - scale * (v @ y)
 
 
 PICTURES = {

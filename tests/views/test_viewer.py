@@ -19,6 +19,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import trimesh
+from chromium import project_point
 from hunts import some
 from robots import DATA
 
@@ -460,17 +461,8 @@ class Seen:
         return not self.viewer.pages
 
     def at(self, p) -> tuple[float, float]:
-        """Where a point (3,) is on the screen: a pinhole camera."""
-        camera = self.page.client.camera
-        z = camera.look_at - camera.position
-        z = z / np.linalg.norm(z)
-        x = np.cross(z, camera.up_direction)
-        x = x / np.linalg.norm(x)
-        v = np.asarray(p) - camera.position
-        wide = 0.5 * camera.image_width
-        high = 0.5 * camera.image_height
-        scale = high / np.tan(0.5 * camera.fov) / (v @ z)
-        return wide + scale * (v @ x), high - scale * (v @ np.cross(x, z))
+        """Where a point (3,) is on the screen."""
+        return project_point(self.page.client.camera, p)
 
     def press(self, text: str, row: str | None = None) -> None:
         """Click on a button or a check box of the panel, of several with this text on the one
