@@ -126,3 +126,24 @@ def test_batches_and_failures(panda):
         np.testing.assert_allclose(D[i], panda.ik(X[i], HAND, q[i]).derivative, atol=1e-9)
     with pytest.raises(InputError, match="not reached"):
         _ = panda.ik(X[2], HAND).derivative
+
+
+@pytest.mark.parametrize("task", ["pose", "position", "orientation", "position_axis"])
+def test_batches_are_pseudo_inverses_at_limits_and_singularities_too(panda, task):
+    """Rows of the Jacobian that the task reads, without coordinates at limits where the others do."""
+    q = panda.random(3, 60)
+    q[10:30, 4] = panda.upper[4]
+    q[20:40, 5] = panda.lower[5]
+    q[40:50, 1] = 0.0
+    q[40:50, 3] = panda.upper[3]
+    q[45:50, 2] = 0.0
+    D = panda.ik(panda.fk(q, HAND), HAND, q, task=task).derivative
+    rows = {"pose": 6, "position": 3, "orientation": 6, "position_axis": 5}[task]
+    first = 3 if task == "orientation" else 0
+    for at, given in zip(q, D, strict=True):
+        turned = np.kron(np.eye(2), panda.fk(at, HAND)[:3, :3].T)[first:rows]
+        J = turned @ panda.jacobian(at, HAND)
+        free = (at > panda.lower + 1e-9) & (at < panda.upper - 1e-9)
+        same = np.linalg.matrix_rank(J[:, free], 1e-8) == np.linalg.matrix_rank(J, 1e-8)
+        wanted = np.linalg.pinv(J * free if same else J, 1e-12) @ turned
+        np.testing.assert_allclose(given, wanted, atol=1e-9 * max(1.0, np.abs(wanted).max() ** 2))

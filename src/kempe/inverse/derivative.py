@@ -9,20 +9,29 @@ import numpy as np
 
 from kempe import spatial
 from kempe.answers.targets import Z_AXIS, make_rotations_along
+from kempe.budget import check_for_stop
 from kempe.equations.task_functions import REAL_STEP
 from kempe.equations.tasks import Goal
 from kempe.errors import InputError, UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.inverse.answer import Reached, Solution
 from kempe.kernels.base.search_layout import AHEAD, NOTHING
-from kempe.numerics.rank import Level, Spectrum
+from kempe.numerics.rank import TINY, Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.inverse.chain.problem import FrameProblem
     from kempe.inverse.tasks.demands import Demands
 
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
+
+
+PIECE = 512
+"""Configurations that are differentiated together: their matrices stay in the cache."""
+CLEAR = 1e-3
+"""Part of its length that the last independent row of a Jacobian has at least where its rank needs no
+singular values."""
 
 
 def compute_derivative(solution: Solution) -> Array:
@@ -39,35 +48,92 @@ def compute_derivative(solution: Solution) -> Array:
     good = np.asarray(solution.success)
     if not good.ndim and not good:
         raise InputError(f"the target was not reached, so q does not follow it: {solution.status}")
+    nv = problem.system.nv
+    out = np.full((good.size, nv, 6), np.nan)
+    rows = np.flatnonzero(good)
+    q = solution.q.reshape(good.size, -1)
+    for k in range(0, len(rows), PIECE):
+        check_for_stop()
+        some = rows[k : k + PIECE]
+        out[some] = _differentiate_configurations(problem, q[some])
+    return out.reshape(*good.shape, nv, 6)
+
+
+def _differentiate_configurations(problem: FrameProblem, q: Array) -> Array:
+    """Compute dq (m, nv, 6) at configurations (m, nq) that reach their targets."""
     system = problem.system
     chain = problem.chain
-    q = np.where(good[..., None], solution.q, system.neutral)
-    J = jacobian(system, q, problem.frame)[..., chain.v_index]
-    R = fk(system, q, problem.frame)[..., :3, :3]
-    if problem.axis != Z_AXIS:
-        R = R @ make_rotations_along(np.array(problem.axis))
-    # from ground axes to those rows in the axes of the tip that count
-    S = np.zeros((*R.shape[:-2], 6, 6))
-    S[..., :3, :3] = S[..., 3:, 3:] = np.swapaxes(R, -1, -2)
-    S *= np.array(problem.mask, dtype=float)[:, None]
+    J = jacobian(system, q, problem.frame, threads=1)
+    J = np.ascontiguousarray(J.transpose(1, 2, 0)[:, chain.v_index])
     # what has no room moves nothing
-    J = np.where(system.upper > system.lower, 1.0, 0.0)[chain.v_index] * (S @ J)
-    x = np.full((*q.shape[:-1], system.nv), np.nan)
+    J *= (system.upper > system.lower)[chain.v_index, None]
+    mask = np.array(problem.mask, dtype=bool)
+    split = [part for part in mask.reshape(2, 3) if part.any() and not part.all()]
+    if split:  # to the axes of the tip, in which the rows that count are named
+        R = fk(system, q, problem.frame, threads=1)[:, :3, :3]
+        if problem.axis != Z_AXIS:
+            R = R @ make_rotations_along(np.array(problem.axis))
+        J = np.concatenate([np.einsum("mji,jnm->inm", R, part) for part in (J[:3], J[3:])])
+    J = J[mask]
+    x = np.full((len(q), system.nv), np.nan)
     v = system.structure.layout.vector_v
-    x[..., v] = q[..., system.structure.layout.vector_q]
-    held = ((x <= system.lower + AT_LIMIT) | (x >= system.upper - AT_LIMIT))[..., chain.v_index]
-    free = np.where(held[..., None, :], 0.0, J)
-    whole = Spectrum(J)
-    left = Spectrum(free, whole.largest)
-    stay = held & (left.compute_ranks(Level.CLOSED) == whole.compute_ranks(Level.CLOSED))[..., None]
-    inverse = np.where(
-        stay[..., None],
-        0.0,
-        Spectrum(np.where(stay[..., None, :], 0.0, J)).compute_pseudo_inverse(Level.ROUNDING),
-    )
-    out = np.zeros((*q.shape[:-1], system.nv, 6))
-    out[..., chain.v_index, :] = inverse @ S
-    return np.where(good[..., None, None], out, np.nan)
+    x[:, v] = q[:, system.structure.layout.vector_q]
+    held = ((x <= system.lower + AT_LIMIT) | (x >= system.upper - AT_LIMIT))[:, chain.v_index].T
+    inverse = np.zeros((len(J), *J.shape[1:]))
+    moves = J.any(axis=(1, 2))
+    inverse[moves], clear = _invert_independent_rows(np.where(held, 0.0, J[moves]))
+    if not clear.all():
+        left = np.flatnonzero(~clear)
+        inverse[:, :, left] = _invert_singular_rows(J[:, :, left], held[:, left])
+    made = np.zeros((len(q), len(chain.v_index), 6))
+    made[:, :, mask] = inverse.transpose(2, 1, 0)
+    if split:
+        made = np.concatenate(
+            [part @ np.swapaxes(R, 1, 2) for part in (made[..., :3], made[..., 3:])], axis=-1
+        )
+    out = np.zeros((len(q), system.nv, 6))
+    out[:, chain.v_index] = made
+    return out
+
+
+def _invert_independent_rows(A: Array) -> tuple[Array, np.ndarray]:
+    """Compute transposed pseudo-inverses (k, n, m) of matrices (k, n, m), the last axis their number.
+
+    Also return for which of them (m,) the rows are clearly independent; the others are not inverted.
+
+    By the modified Gram-Schmidt method: A^T = Q R, and the pseudo-inverse is Q R^-T. Source: Golub,
+    Van Loan, *Matrix Computations*, 4th edition, 2013, section 5.2.8.
+    """
+    k, n, m = A.shape
+    Q = A.copy()
+    R = np.zeros((k, k, m))
+    least = np.full(m, np.inf)
+    size = np.sqrt(np.einsum("inm,inm->im", A, A).max(axis=0, initial=0.0))
+    for i in range(k):
+        length = np.sqrt(np.einsum("nm,nm->m", Q[i], Q[i]))
+        least = np.minimum(least, length)
+        R[i, i] = np.maximum(length, TINY)
+        Q[i] /= R[i, i]
+        R[i, i + 1 :] = np.einsum("nm,jnm->jm", Q[i], Q[i + 1 :])
+        Q[i + 1 :] -= R[i, i + 1 :, None] * Q[i]
+    for i in reversed(range(k)):
+        Q[i] /= R[i, i]
+        Q[:i] -= R[:i, i, None] * Q[i]
+    return Q, (least > CLEAR * size) & (k <= n)
+
+
+def _invert_singular_rows(J: Array, held: np.ndarray) -> Array:
+    """Compute transposed pseudo-inverses (k, n, m) of Jacobians (k, n, m) of any rank.
+
+    Coordinates `held` (n, m) stay where the others span the same motions.
+    """
+    A = np.moveaxis(J, -1, 0)
+    free = np.where(held.T[:, None], 0.0, A)
+    whole = Spectrum(A)
+    rank = Spectrum(free, whole.largest).compute_ranks(Level.CLOSED)
+    stay = (rank == whole.compute_ranks(Level.CLOSED))[:, None, None]
+    inverse = Spectrum(np.where(stay, free, A)).compute_pseudo_inverse(Level.ROUNDING)
+    return inverse.transpose(2, 1, 0)
 
 
 # ---- answers to several tasks, by the goals of the tasks
