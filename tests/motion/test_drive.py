@@ -7,13 +7,23 @@ import math
 import numpy as np
 import pytest
 from hunts import some
-from motion_linkages import TURN, circles, four_bar, ladder, linkage, same_angle, slider_crank
+from motion_linkages import (
+    TURN,
+    bennett,
+    circles,
+    four_bar,
+    ladder,
+    linkage,
+    same_angle,
+    slider_crank,
+)
 
 import kempe
 from kempe.arguments import call_until_interrupt
 from kempe.equations.closure_rows import compute_residual
 from kempe.errors import InputError, UnsupportedError
-from kempe.motion.drive import drive
+from kempe.motion import drive as drives
+from kempe.motion.drive import RegularSteps, drive
 
 STEPS = [5, 7, 36, 50, 101, 360, 997, 1000]
 
@@ -253,3 +263,54 @@ def test_bad_inputs_of_a_drive_are_refused(inputs):
     times = [0, 1, 2] if isinstance(inputs, dict) and callable(inputs["A"]) else None
     with pytest.raises(InputError, match=r"must be|no samples"):
         kempe.load("four_bar").drive(inputs, times)
+
+
+def list_drives():
+    """Systems, inputs and starts: regular, through toggles, limits and change points, back and
+    forth, with rests, two inputs, redundant equations.
+    """
+    turn = np.linspace(0.8, 0.8 + TURN, 200)
+    swing = 0.8 + 1.5 * np.sin(np.linspace(0.0, 9.0, 300))
+    fine = np.linspace(0.1, 0.9, 150)
+    return {
+        "turn": (four_bar(1, 2.5, 2, 3), {"A": turn}, {"A": 0.8}),
+        "rests": (four_bar(1, 2.5, 2, 3), {"A": np.repeat(turn, 2)}, {"A": 0.8}),
+        "toggles": (four_bar(2, 2.5, 1, 3), {"A": swing}, {"A": 0.8}),
+        "limits": (four_bar(1, 2.5, 2, 3, D=(1.2, 2.2)), {"A": turn}, {"A": 0.8}),
+        "change points": (four_bar(1, 2, 1, 2), {"A": turn}, {"A": 0.8, "D": 0.8}),
+        "slides": (slider_crank(1, 3), {"A": swing}, {"A": 0.8}),
+        "redundant": (bennett(1.0, 1.3, 0.7, math.asin(1.3 * math.sin(0.7))), {"T1": fine}, None),
+        "two inputs": (five_bar()[0], {"A": 0.2 * fine, "E": -0.1 * fine}, np.zeros(5)),
+    }
+
+
+@pytest.mark.parametrize("name", list_drives())
+def test_many_samples_at_once_are_what_single_steps_give(name, monkeypatch):
+    system, inputs, start = list_drives()[name]
+    motion = drive(system, inputs, start=start)
+    monkeypatch.setattr(RegularSteps, "choose_sample_count", lambda self: 0)
+    single = drive(system, inputs, start=start)
+    np.testing.assert_allclose(motion.q, single.q, atol=1e-9)
+    np.testing.assert_array_equal(motion.held, single.held)
+    assert motion.status == single.status
+    assert len(motion.singular_points) == len(single.singular_points)
+
+
+def test_a_regular_motion_takes_its_single_steps_at_the_first_sample_only(monkeypatch):
+    """Counted are the nodes of single steps, and the calls that take many samples."""
+    counts = {"nodes": 0, "calls": 0}
+
+    def count(key, function):
+        def call(*args):
+            counts[key] += 1
+            return function(*args)
+
+        return call
+
+    monkeypatch.setattr(drives, "make_node", count("nodes", drives.make_node))
+    follow = count("calls", RegularSteps.follow_samples)
+    monkeypatch.setattr(RegularSteps, "follow_samples", follow)
+    motion = drive(
+        four_bar(1, 2.5, 2, 3), {"A": np.linspace(0.8, 0.8 + TURN, 1000)}, start={"A": 0.8}
+    )
+    assert motion.success and counts["nodes"] <= 2 and counts["calls"] <= 12, counts

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path as FilePath
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
@@ -26,6 +27,7 @@ from kempe.arguments import (
     read_flag,
 )
 from kempe.arrays import check_range, is_mapping, read_reals
+from kempe.assemble.bound import get_equation_assembler
 from kempe.assemble.idle_freedoms import find_spin_lock, lock_spins
 from kempe.assemble.nearest_exact import answer_within_tolerance
 from kempe.budget import Budget, TimeUp, Usual
@@ -43,7 +45,16 @@ from kempe.motion.crossings import (
     locate_singular_point,
     make_singular_node,
 )
-from kempe.motion.events import AWKWARD, OneSidedEnds, accept_step, find_root
+from kempe.motion.events import (
+    AWKWARD,
+    NEARLY,
+    RESTING,
+    TOUCH,
+    CoordinateBound,
+    OneSidedEnds,
+    accept_step,
+    find_root,
+)
 from kempe.motion.path import Event
 from kempe.motion.rolling import compute_coordinate_rates
 from kempe.motion.start import (
@@ -75,6 +86,7 @@ from kempe.status import Status
 from kempe.words import InWords, format_count
 
 if TYPE_CHECKING:
+    from kempe.assemble.bound import Assembler
     from kempe.model.model import FrameLike, Model
 
 
@@ -354,6 +366,242 @@ def _land_on_crossing(
         return b
     x = way.move_point(x, b.t * (length - float(x[-1])) / b.t[-1])
     return replace(b, x=x)
+
+
+# ---- regular samples, many at once
+
+# Away from singular points a configuration follows from those before it by Newton's method, in the
+# kernel of `assemble`. What a step of a segment demands of its ends is then verified for all steps
+# at once: length, correction, angle between tangents, sign of the determinant, distance from
+# singular points, limits. The first step that fails leaves its sample to the steps above.
+
+MOST_STEPS = 256
+"""Steps that are verified at once."""
+MOST_ENTRIES = 500_000
+"""Entries of their Jacobians."""
+FIRST_SAMPLES = 32
+"""Samples that are tried at once at first; after a success twice as many."""
+MOST_SKIPPED = 16
+"""Samples that are left to single steps at most before many are tried again."""
+PART = 0.5
+"""Share of the longest step that steps aim at."""
+SAME_RANGE = 0.2
+"""Least determinant between the ranges of the Jacobians at both ends of a step."""
+CONSISTENT = 1e-8
+"""How far the velocities of the inputs may miss the equations."""
+
+
+class RegularSteps:
+    """Steps through many samples of a motion that meets no singular point and no limit.
+
+    Motions whose equations hold more than loops and coordinates, and systems with declared
+    one-sided constraints, are left to single steps.
+    """
+
+    def __init__(self, context: SegmentContext):
+        closure = context.closure
+        system = closure.system
+        self.context = context
+        self.closure = closure
+        given = [*context.index, *closure.held]
+        self.free = np.setdiff1d(np.arange(system.nv), given)
+        self.equations = len(closure.weight)
+        bounds = context.limits.all
+        self.bounds = [b for b in bounds if isinstance(b, CoordinateBound)]
+        self.possible = (
+            not closure.more
+            and len(self.bounds) == len(bounds)
+            and 0 < len(self.free) <= self.equations
+        )
+        self.places = closure.place[context.index]
+        self.count = FIRST_SAMPLES
+        self.skipped = 0
+        self.waiting = 0
+
+    @cached_property
+    def _assembler(self) -> Assembler:
+        """The assembler whose known coordinates are those that are driven or held."""
+        system = self.closure.system
+        places = self.closure.place[[*self.context.index, *self.closure.held]]
+        names = tuple(system.coordinate_names[i] for i in map(int, places))
+        return get_equation_assembler(system, names)
+
+    @cached_property
+    def _bound_arrays(self) -> tuple[np.ndarray, np.ndarray, Array, Array]:
+        """Places in q, velocity indices, signs and values of the limits."""
+        rows = [(b.place, b.of or 0, b.sign, b.limit) for b in self.bounds]
+        place, of, sign, limit = np.array(rows).reshape(-1, 4).T
+        return place.astype(np.int64), of.astype(np.int64), sign, limit
+
+    def choose_sample_count(self) -> int:
+        """Choose how many samples are tried at once; 0 where the next one is left to single steps."""
+        if not self.possible or self.closure.more or self.waiting:
+            self.waiting = max(self.waiting - 1, 0)
+            return 0
+        size = self.equations * self.closure.n
+        return max(1, min(self.count, MOST_STEPS, MOST_ENTRIES // size))
+
+    def follow_samples(self, state: State, ends: Sequence[Array]) -> tuple[State, Array]:
+        """Follow the inputs to the first samples of `ends`, (inputs,) each, that steps reach.
+
+        Returned are the state at the last of them, and the configurations (k, nq) at each.
+        """
+        points = np.array([state.u, *ends])
+        change = np.diff(points, axis=0) / self.context.unit
+        length = np.linalg.norm(change, axis=1)
+        moving = int(np.argmin(np.append(length >= NO_CHANGE, False)))
+        found = self._take_steps(state, points[: moving + 1], length[:moving]) if moving else None
+        if found is None:
+            self.count = FIRST_SAMPLES
+            self.skipped = min(2 * self.skipped + 1, MOST_SKIPPED)
+            self.waiting = self.skipped
+            return state, np.empty((0, self.closure.system.nq))
+        self.skipped = 0
+        self.count = 2 * len(found[1])
+        return found
+
+    def _take_steps(self, state: State, points: Array, length: Array) -> tuple[State, Array] | None:
+        """Take regular steps from the state through inputs `points` (n + 1, inputs).
+
+        `length` (n,) is the distance between neighbours. None is returned where no sample is
+        reached.
+        """
+        direction = np.diff(points, axis=0) / self.context.unit / length[:, None]
+        rates = self._compute_rates(state.q[None])
+        if rates is None:
+            return None
+        tangents = self._make_tangents(rates.gain, direction)
+        size = float((length * np.linalg.norm(tangents, axis=1)).max())
+        parts = math.ceil(size / (PART * self.context.longest)) if math.isfinite(size) else 0
+        most = max(1, min(MOST_STEPS, MOST_ENTRIES // (self.equations * self.closure.n)))
+        samples = min(len(length), most // parts) if parts else 0
+        if not samples:
+            return None
+        share = np.arange(1, parts + 1) / parts
+        u = (
+            points[:samples, None]
+            + share[:, None] * np.diff(points[: samples + 1], axis=0)[:, None]
+        )
+        u[:, -1] = points[1 : samples + 1]
+        starts = np.tile(state.q, (samples * parts + 1, 1))
+        starts[1:, self.places] = u.reshape(-1, len(self.places))
+        assembler = self._assembler
+        q, _, info = assembler.run(starts, assembler.no_pins, 1, limits=False, follow=True)
+        good = info[1:, 0] == Status.SOLVED
+        count = int(np.argmin(np.append(good, False))) // parts * parts
+        q = q[: count + 1]
+        direction = np.repeat(direction[:samples], parts, axis=0)[:count]
+        length = np.repeat(length[:samples] / parts, parts)[:count]
+        rates = self._compute_rates(q)
+        if not count or rates is None:
+            return None
+        before = self._make_tangents(rates.gain[:-1], direction)
+        after = self._make_tangents(rates.gain[1:], direction)
+        good = self._verify_steps(q, length, rates, before, after)
+        reached = int(np.argmin(np.append(good, False))) // parts
+        if not reached:
+            return None
+        last = reached * parts - 1
+        velocity = after[last, :-1] / np.linalg.norm(after[last])
+        there = State(q[last + 1], points[reached], velocity, direction[last])
+        return there, q[parts : last + 2 : parts]
+
+    def _make_tangents(self, gain: Array, direction: Array) -> Array:
+        """Make the tangents (n, nv + 1) of segments with these directions (n, inputs).
+
+        Their last entry, the rate of the length, is 1.
+        """
+        out = np.zeros((len(direction), self.closure.n + 1))
+        out[:, self.free] = (gain @ direction[..., None])[..., 0]
+        out[:, self.context.index] = direction
+        out[:, -1] = 1.0
+        return out
+
+    def _compute_rates(self, q: Array) -> _Rates | None:
+        """Compute how the velocities follow those of the inputs at configurations (n, nq).
+
+        None is returned where they do not at one of them.
+        """
+        closure = self.closure
+        F, J = closure.evaluate_many_points(q)
+        columns = J[:, : self.equations]
+        A = np.ascontiguousarray(columns[..., self.free])
+        B = np.ascontiguousarray(columns[..., self.context.index])
+        At = np.swapaxes(A, -1, -2)
+        gram = At @ A
+        try:
+            inverse = np.linalg.inv(gram) @ At
+        except np.linalg.LinAlgError:
+            return None
+        gain = -(inverse @ B)
+        closed = np.abs(F[:, : self.equations]).max(axis=1)
+        closed = closed < closure.closed * (1.0 + 0.01 * np.abs(q).max(axis=1)) + closure.rounding
+        closed &= np.abs(A @ gain + B).max(axis=(1, 2)) < CONSISTENT
+        # of the equations of a segment: a left inverse, and the equations
+        inputs = B.shape[-1]
+        small = 1.0 / np.sqrt(
+            _bound_square_norm(inverse) + 2.0 * _bound_square_norm(gain) + inputs + 2
+        )
+        large = np.sqrt(_bound_square_norm(A) + _bound_square_norm(B) + inputs + 1)
+        return _Rates(A, gain, gram, closed, small / large)
+
+    def _verify_steps(
+        self, q: Array, length: Array, rates: _Rates, before: Array, after: Array
+    ) -> np.ndarray:
+        """Verify the steps between configurations (n + 1, nq); return a mask (n,).
+
+        `before` and `after` are the tangents (n, nv + 1) at both ends of each.
+        """
+        closure = self.closure
+        here = np.linalg.norm(before, axis=1)
+        there = np.linalg.norm(after, axis=1)
+        size = length * here
+        guess = closure.move_point(q[:-1], length[:, None] * before[:, :-1])
+        miss = np.linalg.norm(closure.compute_difference(guess, q[1:]), axis=1)
+        chord = np.linalg.norm(before / here[:, None] - after / there[:, None], axis=1)
+        good = rates.closed[:-1] & rates.closed[1:]
+        good &= np.minimum(rates.sigma[:-1], rates.sigma[1:]) > NEARLY
+        good &= size <= self.context.longest
+        good &= np.maximum(here, there) * STEEP < 1.0
+        good &= miss <= ACROSS * size
+        good &= chord <= 2.0 * math.sin(0.5 * BEND)
+        sign, across = np.linalg.slogdet(np.swapaxes(rates.matrix[:-1], -1, -2) @ rates.matrix[1:])
+        own = np.linalg.slogdet(rates.gram)[1]
+        good &= (sign > 0.0) & (across > 0.5 * (own[:-1] + own[1:]) + math.log(SAME_RANGE))
+        if self.bounds:
+            place, of, side, limit = self._bound_arrays
+            over = side * (q[:, place] - limit)
+            leave = side * before[:, of] / here[:, None] <= RESTING
+            arrive = side * after[:, of] / there[:, None] >= -RESTING
+            inside = (over[:-1] <= -TOUCH) & (over[1:] <= TOUCH) & (leave | arrive)
+            good &= inside.all(axis=1)
+        return good
+
+
+class _Rates(NamedTuple):
+    """Velocities that follow from those of the inputs, at n configurations.
+
+    `matrix` (n, m, free) is the Jacobian of the loops by the free velocities and `gram` its product
+    with itself, `gain` (n, free, inputs) the free velocities for each input, `closed` (n,) whether
+    the equations hold and are consistent, `sigma` (n,) a lower bound of the relative singular value
+    that a `Node` has.
+    """
+
+    matrix: Array
+    gain: Array
+    gram: Array
+    closed: np.ndarray
+    sigma: Array
+
+
+def _bound_square_norm(A: Array) -> Array:
+    """Bound the squares (n,) of the spectral norms of matrices (n, m, k).
+
+    Two bounds are known: the sum of squares, and the largest sum of a row times that of a column.
+    """
+    size = np.abs(A)
+    sums = size.sum(axis=2).max(axis=1) * size.sum(axis=1).max(axis=1)
+    return np.minimum(np.square(size).sum(axis=(1, 2)), sums)
 
 
 # ---- inputs of what rolls
@@ -987,7 +1235,7 @@ def _read_samples(
         before = max(k - 1, 0)
         return [
             np.array([evaluate_input(n, before, k, float(f)) for n in inputs])
-            for f in np.linspace(0.0, 1.0, parts + 1)[1:]
+            for f in (np.linspace(0.0, 1.0, parts + 1)[1:] if parts > 1 else (1.0,))
         ]
 
     return clock, sample_inputs
@@ -1019,6 +1267,12 @@ def _begin_drive(
     return closure, q
 
 
+def _count_near_samples(u: Array, ends: Sequence[Array], unit: Array) -> int:
+    """Count the first samples that change no input by more than `BETWEEN`, from `u` on."""
+    change = np.abs(np.diff(np.array([u, *ends]), axis=0) / unit).max(axis=1)
+    return int(np.argmax(np.append(change > BETWEEN, True)))
+
+
 def _drive_samples(
     context: SegmentContext,
     q: Array,
@@ -1037,10 +1291,30 @@ def _drive_samples(
     stuck: Stuck | None = None
     last = state.u
     broken = None
+    regular = RegularSteps(context)
+
+    def note_sample(q: Array, waits: bool) -> None:
+        """Append the configuration of a sample, and whether the motion is held at it."""
+        poses.append(q)
+        held.append(waits)
+        if progress is not None and (len(held) - 1) % 16 == 0:
+            progress(len(held), len(clock))
+
     try:
         with context.closure.budget:
-            for k in range(len(clock)):
-                end = samples(k, 1)[-1]
+            while (k := len(held)) < len(clock):
+                ahead = regular.choose_sample_count() if k and stuck is None else 0
+                for i in range(len(requested), min(k + max(ahead, 1), len(clock))):
+                    requested.append(samples(i, 1)[-1])
+                if ahead:
+                    near = _count_near_samples(state.u, requested[k:], context.unit)
+                    state, reached = regular.follow_samples(state, requested[k : k + near])
+                    for q in reached:
+                        note_sample(q, False)
+                    if len(reached):
+                        last = state.u
+                        continue
+                end = requested[k]
                 parts = (
                     int(np.ceil(np.abs((end - last) / context.unit).max() / BETWEEN)) if k else 1
                 )
@@ -1051,17 +1325,15 @@ def _drive_samples(
                     last = u
                     if gap > CONTINUOUS:
                         jumps.append((k, gap))
-                requested.append(end)
-                poses.append(state.q if stuck is None else stuck.q)
-                held.append(stuck is not None and not stuck.reached)
                 if stuck is not None and not stuck.reached:
                     if toggles and toggles[-1].last == k - 1 and toggles[-1].q is stuck.q:
                         toggles[-1] = replace(toggles[-1], last=k)
                     else:
                         at = dict(zip(names, stuck.u.tolist(), strict=True))
                         toggles.append(Toggle(k, k, stuck.q, at, stuck.reason))
-                if progress is not None and k % 16 == 0:
-                    progress(k + 1, len(clock))
+                note_sample(
+                    state.q if stuck is None else stuck.q, stuck is not None and not stuck.reached
+                )
     except BROKEN_OFF as error:
         broken = error
     n = len(held)
