@@ -6,6 +6,7 @@ import functools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -34,6 +35,7 @@ from kempe.inverse.chain.serial_chain import (
 from kempe.inverse.tasks.demands import STARTS, Demands, find_untouched_places
 from kempe.inverse.tasks.search import make_checked_answer, make_demands
 from kempe.kernels.base.search_layout import SOLVED
+from kempe.kernels.compiled import path_steps
 from kempe.model.configurations import (
     make_ranges_table,
     refuse_large_numbers,
@@ -94,6 +96,10 @@ AVOID = 0.1
 limits."""
 TRUNCATED = 6
 """Steps that leave out what is singular."""
+ROWS = 12
+"""Equations of a target up to which kernels make the steps that nothing speaks against."""
+PIECE = 64
+"""Targets that are followed by one call of a kernel."""
 
 
 class Order(NamedTuple):
@@ -152,6 +158,58 @@ class PathSteps:
         hard = [i for i, t in enumerate(tasks) if t.weight is None]
         own = packed.rows >= 0
         self.counts = np.isin(packed.rows[own], hard) & equal[own]
+
+    @cached_property
+    def _kernel_arguments(self) -> tuple[Any, ...] | None:
+        """Arguments of `path_steps.follow_targets`; None where steps are more than that."""
+        problem = self.problem
+        packed = problem.packed
+        loops = packed.loops
+        layout = self.system.structure.layout
+        counted = (packed.rows >= 0).astype(np.int64)
+        plain = (
+            problem.limits
+            and self.given <= TOLERANCE
+            and not packed.closed
+            and self.counts.all()
+            and not packed.one_sided.declared
+            and all(tie.function is None for tie in loops.ties)
+            and layout.nq == layout.nv == len(layout.vector_v)
+            and 0 < counted.sum() <= min(ROWS, layout.nv)
+        )
+        if not plain:
+            return None
+        stages, strengths, *_ = problem.levels
+        rules = (self.max_step, STRETCH, SMALL, WEAK, DAMPING, UNEVEN, STAYS, ALIKE)
+        limits = np.stack([self.system.lower, self.system.upper])
+        return (
+            (loops.ints, loops.floats, loops.plan, loops.weights, stages, strengths),
+            (counted, np.array(rules), limits, problem.iterations, problem.loose, problem.rng),
+        )
+
+    def follow_plain_targets(self, out: Array, i: int, before: Array) -> int:
+        """Write configurations of targets i on to `out` as long as no step is in doubt.
+
+        Returns the first target that is left. `before` (nv + 1) is the scaled step to target i - 1
+        and the length of its way, and is updated.
+        """
+        if self._kernel_arguments is None:
+            return i
+        system, judged = self._kernel_arguments
+        pins = self.problem.pins
+        while i < len(out):
+            self.budget.check_time()
+            j = min(i + PIECE, len(out))
+            some = pins[i - 1 : j] if len(pins) > 1 else pins
+            rows = out[i - 1 : j]
+            done = path_steps.follow_targets(*system, some, *judged, before, rows)
+            if self.progress is not None:
+                for k in range(i, i + done - 1):
+                    self.progress(k + 1)
+            i += done - 1
+            if i < j:
+                break
+        return i
 
     def interpolate_problem(self, i: int, part: float) -> Demands:
         """Interpolate the problem at the fraction `part` from target i - 1 to target i."""
@@ -905,10 +963,19 @@ class _FollowedPath(PathSteps):
         """Write the path from its configuration at target `begin` on, and its messages."""
         q = out[begin]
         broken = False
-        before = np.zeros(self.system.nv)
-        last = 0.0
-        for i in range(begin + 1, len(out)):
-            found, part, way = (q, 0.0, 0.0) if broken else self.follow_segment(i, q, before, last)
+        nv = self.system.nv
+        before = np.zeros(nv + 1)  # the scaled step to target i - 1, and the length of its way
+        i = begin
+        while (i := i + 1) < len(out):
+            if not (broken or self.avoids):
+                i = self.follow_plain_targets(out, i, before)
+                q = out[i - 1]
+                if i == len(out):
+                    break
+            step = before[:nv]
+            found, part, way = (
+                (q, 0.0, 0.0) if broken else self.follow_segment(i, q, step, float(before[nv]))
+            )
             if part < 1.0:
                 why = ""
                 if not broken:
@@ -916,7 +983,7 @@ class _FollowedPath(PathSteps):
                         f"{part:.1%} of the way from target {i - 1} to {i}, at "
                         f"{self.describe_end(i, found, part)}"
                     )
-                    why += self.suggest_tolerance(i, q, before)
+                    why += self.suggest_tolerance(i, q, step)
                 others = self.find_other_configurations(i, found)
                 broken = not others
                 said += (
@@ -933,8 +1000,8 @@ class _FollowedPath(PathSteps):
                 q = others[0]
             if way > STAYS:  # else the target stays, and one goes on as before it
                 moved = self.system.structure.layout.compute_difference(q, found) / self.scale
-                before = moved if not before.any() else moved + self.calm * (before - moved)
-                last = way
+                before[:nv] = moved if not step.any() else moved + self.calm * (step - moved)
+                before[nv] = way
             q = self.move_from_limits(i, found, self.avoids) if self.avoids else found
             out[i] = q
             if self.progress is not None:

@@ -1475,6 +1475,89 @@ def search_tasks(loops, work, ask, key, tries, limit, mode, stop):
     return (SOLVED if good else NOT_FOUND) + (LATE if late else 0), steps, most
 
 
+@device
+def count_search_floats(plan, n_rows, nq, nv):
+    """Return the number of floats of scratch of the search."""
+    m = plan[L.N_ROWS]
+    return (
+        count_sweep_scratch(n_rows)
+        + 9 * nq
+        + 5 * nv
+        + 9 * m
+        + 3 * plan[L.N_TIES]
+        + plan[L.BLOCKS]
+        + plan[L.ENVELOPE]
+        + 8
+    )
+
+
+@device
+def divide_search_scratch(plan, scratch, n_rows, nq, nv):
+    """Divide scratch among the parts of the search: pointers to q, the equations, the weights of
+    ties and the Jacobian's blocks, and the scratch of the active set.
+    """
+    m = plan[L.N_ROWS]
+    q = advance_pointer(scratch, count_sweep_scratch(n_rows))
+    v = advance_pointer(q, 9 * nq)
+    rows = advance_pointer(v, 5 * nv)
+    weight = advance_pointer(rows, 9 * m)
+    blocks = advance_pointer(weight, 3 * plan[L.N_TIES])
+    work = ActiveSetScratch(
+        v,
+        advance_pointer(v, nv),
+        advance_pointer(v, 2 * nv),
+        advance_pointer(v, 3 * nv),
+        advance_pointer(v, 4 * nv),
+        advance_pointer(rows, m),
+        advance_pointer(rows, 2 * m),
+        advance_pointer(rows, 3 * m),
+        advance_pointer(rows, 4 * m),
+        advance_pointer(rows, 5 * m),
+        advance_pointer(rows, 6 * m),
+        advance_pointer(rows, 7 * m),
+        advance_pointer(rows, 8 * m),
+        advance_pointer(blocks, plan[L.BLOCKS]),
+        advance_pointer(q, nq),
+        advance_pointer(q, 2 * nq),
+        advance_pointer(q, 3 * nq),
+        advance_pointer(q, 4 * nq),
+        advance_pointer(q, 5 * nq),
+        advance_pointer(q, 6 * nq),
+        advance_pointer(q, 7 * nq),
+        advance_pointer(q, 8 * nq),
+    )
+    return q, rows, weight, blocks, work
+
+
+@device
+def make_ask(plan, stages, strengths, weight, now, loose):
+    """Make the requirements of the ties from pointers to their `stages` and `strengths`.
+
+    weight: scratch of 3 numbers a tie; now: of 2 whole numbers a tie.
+    """
+    ties = plan[L.N_TIES]
+    last = 0
+    between = False
+    for k in range(ties):
+        weight[k] = strengths[3 * k]
+        weight[ties + 2 * k] = strengths[3 * k + 1]
+        weight[ties + 2 * k + 1] = strengths[3 * k + 2]
+        last = max(last, stages[k])
+        between = between or (
+            stages[k] >= 0 and plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND] >= 0
+        )
+    return Ask(
+        stages,
+        now,
+        advance_pointer(now, ties),
+        weight,
+        advance_pointer(weight, ties),
+        last,
+        between,
+        loose,
+    )
+
+
 @kernel(
     I("_"),
     F("_"),
@@ -1528,62 +1611,18 @@ def solve_tasks(
     nq = ints[NQ]
     nv = ints[NV]
     n_rows = ints[TABLE_ROWS]
-    m = plan[L.N_ROWS]
-    ties = plan[L.N_TIES]
-    sweep = count_sweep_scratch(n_rows)
-    block = np.empty(
-        sweep + 9 * nq + 5 * nv + 9 * m + 3 * ties + plan[L.BLOCKS] + plan[L.ENVELOPE] + 8
-    )
+    block = np.empty(count_search_floats(plan, n_rows, nq, nv))
     scratch = get_pointer(block)
-    q = advance_pointer(scratch, sweep)
-    v = advance_pointer(q, 9 * nq)
-    rows = advance_pointer(v, 5 * nv)
-    weight = advance_pointer(rows, 9 * m)
-    blocks = advance_pointer(weight, 3 * ties)
-    a = advance_pointer(blocks, plan[L.BLOCKS])
-    work = ActiveSetScratch(
-        v,
-        advance_pointer(v, nv),
-        advance_pointer(v, 2 * nv),
-        advance_pointer(v, 3 * nv),
-        advance_pointer(v, 4 * nv),
-        advance_pointer(rows, m),
-        advance_pointer(rows, 2 * m),
-        advance_pointer(rows, 3 * m),
-        advance_pointer(rows, 4 * m),
-        advance_pointer(rows, 5 * m),
-        advance_pointer(rows, 6 * m),
-        advance_pointer(rows, 7 * m),
-        advance_pointer(rows, 8 * m),
-        a,
-        advance_pointer(q, nq),
-        advance_pointer(q, 2 * nq),
-        advance_pointer(q, 3 * nq),
-        advance_pointer(q, 4 * nq),
-        advance_pointer(q, 5 * nq),
-        advance_pointer(q, 6 * nq),
-        advance_pointer(q, 7 * nq),
-        advance_pointer(q, 8 * nq),
+    q, rows, weight, blocks, work = divide_search_scratch(
+        get_pointer(plan), scratch, n_rows, nq, nv
     )
-    last = 0
-    between = False
-    for k in range(ties):
-        weight[k] = strengths[k, 0]
-        weight[ties + 2 * k] = strengths[k, 1]
-        weight[ties + 2 * k + 1] = strengths[k, 2]
-        last = max(last, stages[k])
-        between = between or (
-            stages[k] >= 0 and plan[plan[L.AT_TIES] + L.TIE_INTS * k + L.BOUND] >= 0
-        )
-    now = np.empty(2 * ties, dtype=np.int64)
-    ask = Ask(
+    now = np.empty(2 * plan[L.N_TIES], dtype=np.int64)
+    ask = make_ask(
+        get_pointer(plan),
         get_pointer(stages),
-        get_pointer(now),
-        advance_pointer(get_pointer(now), ties),
+        get_pointer(strengths),
         weight,
-        advance_pointer(weight, ties),
-        last,
-        between,
+        get_pointer(now),
         loose,
     )
     missing = 0
