@@ -14,6 +14,7 @@ from robots import urdf_files
 import kempe
 from kempe import Mechanism, spatial, tasks
 from kempe.errors import InputError
+from kempe.inverse.path import PathSteps
 
 
 def circle(radius: float, angles: np.ndarray) -> np.ndarray:
@@ -261,3 +262,34 @@ def test_an_ik_path_names_the_constraint_that_the_targets_leave(hunt):
         assert along or "'rail' does not let" not in along.status
         tried += 1
     assert tried
+
+
+def test_steps_that_nothing_speaks_against_are_those_of_the_careful_way(monkeypatch):
+    """Kernels take them, with the same answers; of a circle of an arm with seven joints all."""
+    robot = kempe.load("panda")
+    frame = "panda_hand_tcp"
+    start = np.array([0.0, -0.5, 0.0, -2.2, 0.0, 1.8, 0.8])
+    turned = circle(0.1, np.linspace(0.0, 2.0 * math.pi, 60)) - [0.1, 0.0]
+    round_ = np.tile(robot.fk(start, frame), (60, 1, 1))
+    round_[:, :2, 3] += turned
+    line = robot.fk(
+        start + np.linspace(0.0, 1.0, 40)[:, None] * [0.4, 1.0, 0.5, 0.3, 0.8, -1.7, 0.2], frame
+    )
+    careful: list[int] = []
+    segment = PathSteps.follow_segment
+
+    def count_segments(self, i, *rest):
+        careful.append(i)
+        return segment(self, i, *rest)
+
+    monkeypatch.setattr(PathSteps, "follow_segment", count_segments)
+    for targets, start_of in ((round_, start), (line, start), (round_[:, :3, 3], start)):
+        careful.clear()
+        fast = robot.ik_path(targets, frame, start_of)
+        few = len(careful)
+        with monkeypatch.context() as slow:
+            slow.setattr(PathSteps, "follow_plain_targets", lambda self, out, i, before: i)
+            other = robot.ik_path(targets, frame, start_of)
+        assert fast.status == other.status and few < len(careful) - few
+        assert few == 0 or targets is line
+        np.testing.assert_allclose(fast.q, other.q, atol=1e-9)

@@ -68,8 +68,10 @@ def _differentiate_configurations(problem: FrameProblem, q: Array) -> Array:
     # what has no room moves nothing
     J *= (system.upper > system.lower)[chain.v_index, None]
     mask = np.array(problem.mask, dtype=bool)
-    split = [part for part in mask.reshape(2, 3) if part.any() and not part.all()]
-    if split:  # to the axes of the tip, in which the rows that count are named
+    # the rows that count are named in the axes of the tip
+    split = any(part.any() and not part.all() for part in mask.reshape(2, 3))
+    R = np.eye(3)[None]
+    if split:
         R = fk(system, q, problem.frame, threads=1)[:, :3, :3]
         if problem.axis != Z_AXIS:
             R = R @ make_rotations_along(np.array(problem.axis))
