@@ -438,6 +438,8 @@ def _build_loops(system: Model, edges: list[Edge], way: Way) -> list[Loop]:
 
 def _build_laws(system: Model, way: Way) -> tuple[Law, ...]:
     """Build the laws: couplings with several sources, and constraints written as expressions."""
+    if not system.structure.relations and not system._mechanism.constraints:
+        return ()  # to pack the loops takes longer than all else about the graph
     loops = pack_full_loops(system, True)
     first = 0
     found: dict[tuple[int, int], tuple[Relation | Declared, list[int], list[Tie]]] = {}
