@@ -7,11 +7,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 import kempe
 from kempe.model.constraint_program import Tie
 from kempe.model.kernel_functions import Callback
-from kempe.model.packed_loops import _order_ties_by_level
+from kempe.model.packed_loops import _order_nodes, _order_ties_by_level
 
 NOWHERE = (-1, np.eye(4), False)
 
@@ -50,3 +51,19 @@ def test_equations_of_one_coordinate_stand_before_the_first_that_moves_with_it()
     table: Any = None
     found = _order_ties_by_level([*last, *first], table, lambda t: int("first" not in t.name), {})
     assert [t.name for t in found] == ["2 first", "own 0", "0 first", "own 1", "1 last", "own 3"]
+
+
+@pytest.mark.parametrize("width", [1, 3])
+def test_nodes_that_are_neighbours_are_near_each_other_in_the_order(width: int):
+    """Two grids whose nodes are numbered at random: neighbours are a width and a bit apart."""
+    rng = np.random.default_rng(0)
+    number = rng.permutation(2 * 40 * width).reshape(2, 40, width)
+    neighbours: list[set[int]] = [{k} for k in range(number.size)]
+    for a, b in ((number[:, 1:], number[:, :-1]), (number[..., 1:], number[..., :-1])):
+        for i, j in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True):
+            neighbours[i].add(j)
+            neighbours[j].add(i)
+    order = _order_nodes([sorted(x) for x in neighbours])
+    place = {k: i for i, k in enumerate(order)}
+    assert sorted(order) == list(range(number.size))
+    assert max(abs(place[i] - place[j]) for i in place for j in neighbours[i]) <= width + 1

@@ -6,10 +6,11 @@ place, or a linear relation of coordinates.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -759,19 +760,42 @@ def _order_ties(ties: list[Tie], table: Table, first: Places) -> list[Tie]:
     """
     if len(ties) < 8:
         return ties
-    from scipy.sparse import csgraph, csr_matrix
-
     users: dict[int, list[int]] = {}
     for k, tie in enumerate(ties):
         for v in _find_tie_coordinates(tie, table, first):
             users.setdefault(v, []).append(k)
-    pairs = [(i, j) for use in users.values() for i in use for j in use]
-    if not pairs:
+    if not users:
         return ties
-    i, j = np.array(pairs).T
-    graph = csr_matrix((np.ones(len(pairs)), (i, j)), shape=(len(ties), len(ties)))
-    order: np.ndarray = cast(Any, csgraph).reverse_cuthill_mckee(graph, symmetric_mode=True)
-    return [ties[int(k)] for k in order]
+    neighbours: list[set[int]] = [set() for _ in ties]
+    for use in users.values():
+        for k in use:
+            neighbours[k].update(use)
+    return [ties[k] for k in _order_nodes([sorted(x) for x in neighbours])]
+
+
+def _order_nodes(neighbours: list[list[int]]) -> list[int]:
+    """Order the nodes of a graph so that neighbours are near each other.
+
+    The order is that of Cuthill and McKee (1969), reversed: breadth first from a node of lowest
+    degree, neighbours by degree. `scipy.sparse.csgraph` has it, too; its import takes longer than
+    most mechanisms to assemble.
+    """
+    degree = [len(x) for x in neighbours]
+    out: list[int] = []
+    seen = [False] * len(degree)
+    for seed in np.argsort(degree, kind="stable").tolist():
+        if seen[seed]:
+            continue
+        seen[seed] = True
+        queue = deque([seed])
+        while queue:
+            node = queue.popleft()
+            out.append(node)
+            new = sorted((k for k in neighbours[node] if not seen[k]), key=degree.__getitem__)
+            for k in new:
+                seen[k] = True
+            queue.extend(new)
+    return out[::-1]
 
 
 def _order_ties_by_level(

@@ -18,7 +18,7 @@ from kempe.spatial import Array
 from kempe.views.drawing import shapes, style
 from kempe.views.drawing.labels import Obstacles
 from kempe.views.drawing.scene import Scene, SeenJoint, SeenLink, compute_travel, remove_duplicates
-from kempe.views.drawing.solids import DrawnPiece, find_hull, make_fan, parse_colour
+from kempe.views.drawing.solids import DrawnPiece, find_hull, make_fan, make_fans, parse_colour
 from kempe.views.drawing.style import BAR, BLOCK, DRIVER, GROUND, INK, OPEN, PAPER, WRONG
 from kempe.views.drawing.symbols import SYMBOLS
 
@@ -180,7 +180,7 @@ class SheetRecord(Sheet):
         a = a - 0.6 * half * along
         b = b + 0.6 * half * along
         corners = np.stack([a - side, b - side, b + side, a + side], axis=1).reshape(-1, 2)
-        quads = (4 * np.arange(len(a))[:, None, None] + make_fan(4)).reshape(-1, 3)
+        quads = make_fans(len(a), 4).reshape(-1, 3)
         self._add_piece(gid, corners, quads, layer, colour)
 
     def _add_piece(

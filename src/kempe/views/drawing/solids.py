@@ -88,27 +88,30 @@ class Solids:
         if length < 1e-12:
             return
         X = spatial.align_z((b - a) / length)
-        angles = np.arange(sides) * (2 * np.pi / sides)
-        round_ = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ X[:, :2].T
+        round_, middle = make_circle(sides) @ X[:, :2].T
         pieces = pieces or (int(np.clip(length / (6 * radius), 1, 16)) if self.by_depth else 1)
-        radii = np.linspace(radius, radius if end_radius is None else end_radius, pieces + 1)
+        thinner = 0.0 if end_radius is None else radius - end_radius
         rings = [
-            a + (b - a) * t + r * round_
-            for t, r in zip(np.linspace(0, 1, pieces + 1), radii, strict=True)
+            a + (b - a) * t + (radius - thinner * t) * round_
+            for t in (k / pieces for k in range(pieces + 1))
         ]
-        middle = np.roll(round_, -1, axis=0) + round_
-        middle /= np.linalg.norm(middle, axis=1, keepdims=True)
-        after = [*range(1, sides), 0]
         for low, high in itertools.pairwise(rings):
-            corners = np.stack([low, low[after], high[after], high], axis=1)
-            self.add_faces(name, corners, middle, colour)
+            self._add_sides(name, low, high, middle, colour)
         if caps:
             for ring, sign in ((rings[0], -1.0), (rings[-1], 1.0)):
                 self.add_face(name, ring, sign * X[:, 2], colour)
             if edge:
-                ring = 0.14 * radius * X[:, 2]
-                self.add_tube(name, a, a + ring, 1.02 * radius, edge, 1, caps=False)
-                self.add_tube(name, b - ring, b, 1.02 * radius, edge, 1, caps=False)
+                along = 0.14 * radius * X[:, 2]
+                wider = 1.02 * radius * round_
+                for low in (a + wider, b - along + wider):
+                    self._add_sides(name, low, low + along, middle, edge)
+
+    def _add_sides(self, name: str, low: Array, high: Array, normals: Array, colour: str) -> None:
+        """Add the faces between two rings (n, 3), with outward normals (n, 3)."""
+        n = len(low)
+        after = [*range(1, n), 0]
+        corners = np.concatenate([low, low[after], high[after], high], axis=1)
+        self.add_faces(name, corners.reshape(n, 4, 3), normals, colour)
 
     def add_ball(self, name: str, centre: Array, radius: float, colour: str) -> None:
         """Add a sphere of 8 by 12 faces."""
@@ -242,25 +245,43 @@ class SolidRecord(Solids):
         k, n, _ = corners.shape
         (a, b, c) = (corners[:, 1] - corners[:, 0]).T
         (d, e, f) = (corners[:, -1] - corners[:, 0]).T
-        # of np.cross, which is slow
-        out = np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=1)
-        turned = np.sum(out * normals, axis=1) < 0.0
-        fan = np.where(turned[:, None, None], make_fan(n)[:, ::-1], make_fan(n))
-        both: np.ndarray = fan
-        if alpha < 1.0:
-            both = np.concatenate([fan, fan[..., ::-1]], axis=1)
-        first = n * np.arange(k, dtype=np.int64)[:, None, None]
-        triangles = (both + first).reshape(-1, 3)
+        x, y, z = normals.T
+        # the cross product by hand, for np.cross is slow
+        turned = (b * f - c * e) * x + (c * d - a * f) * y + (a * e - b * d) * z < 0.0
+        fans = make_fans(k, n)
+        triangles = np.where(turned[:, None, None], fans[..., ::-1], fans)
+        if alpha < 1.0:  # seen from both sides
+            triangles = np.concatenate([triangles, triangles[..., ::-1]], axis=1)
         self.pieces.append(
-            DrawnPiece(name, corners.reshape(-1, 3), triangles, (*parse_colour(colour), alpha))
+            DrawnPiece(
+                name,
+                corners.reshape(-1, 3),
+                triangles.reshape(-1, 3),
+                (*parse_colour(colour), alpha),
+            )
         )
+
+
+@cache
+def make_circle(sides: int) -> Array:
+    """Corners and outward normals of a regular polygon about the unit circle (2, sides, 2)."""
+    angles = np.arange(sides) * (2 * np.pi / sides)
+    angles = np.stack([angles, angles + np.pi / sides])
+    return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
 
 @cache
 def make_fan(n: int) -> np.ndarray:
     """Triangles (n - 2, 3) of a convex polygon with n corners."""
+    return make_fans(1, n)[0]
+
+
+@cache
+def make_fans(count: int, n: int) -> np.ndarray:
+    """Triangles (count, n - 2, 3) of convex polygons with n corners each, one after the other."""
     k = np.arange(1, n - 1)
-    return np.stack([np.zeros_like(k), k, k + 1], axis=1)
+    fan = np.stack([np.zeros_like(k), k, k + 1], axis=1)
+    return fan + n * np.arange(count)[:, None, None]
 
 
 def parse_colour(colour: str) -> tuple[float, float, float]:
