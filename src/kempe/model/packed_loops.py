@@ -783,11 +783,11 @@ def _order_nodes(neighbours: list[list[int]]) -> list[int]:
     degree = [len(x) for x in neighbours]
     out: list[int] = []
     seen = [False] * len(degree)
-    for seed in np.argsort(degree, kind="stable").tolist():
+    for seed in sorted(range(len(degree)), key=degree.__getitem__):
         if seen[seed]:
             continue
         seen[seed] = True
-        queue = deque([seed])
+        queue: deque[int] = deque([seed])
         while queue:
             node = queue.popleft()
             out.append(node)
