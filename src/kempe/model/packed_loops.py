@@ -777,8 +777,8 @@ def _order_nodes(neighbours: list[list[int]]) -> list[int]:
     """Order the nodes of a graph so that neighbours are near each other.
 
     The order is that of Cuthill and McKee (1969), reversed: breadth first from a node of lowest
-    degree, neighbours by degree. `scipy.sparse.csgraph` has it, too; its import takes longer than
-    most mechanisms to assemble.
+    degree, neighbours by degree. SciPy has it, too, but its import takes longer than to assemble
+    most mechanisms.
     """
     degree = [len(x) for x in neighbours]
     out: list[int] = []
