@@ -55,7 +55,7 @@ def test_a_mechanism_has_few_names():
 
 
 def test_what_is_no_name_is_no_attribute():
-    with pytest.raises(AttributeError, match="no attribute 'closurs'"):
+    with pytest.raises(AttributeError, match="has no 'closurs'"):
         BAR.closurs  # noqa: B018
 
 

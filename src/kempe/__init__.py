@@ -8,6 +8,7 @@ are the map.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -29,6 +30,11 @@ if TYPE_CHECKING:
     from kempe.workspace.answer import open_workspace
     from kempe.workspace.map_file import map_file
 
+deg = math.pi / 180.0
+"""A degree in radians: 90 * kempe.deg."""
+mm = 1e-3
+"""A millimetre in metres: 500 * kempe.mm."""
+
 __all__ = [
     "Budget",
     "Interrupted",
@@ -39,11 +45,13 @@ __all__ = [
     "Tolerance",
     "constraints",
     "convert",
+    "deg",
     "errors",
     "from_dh",
     "from_screws",
     "load",
     "map_file",
+    "mm",
     "open_workspace",
     "read",
     "spatial",

@@ -4,6 +4,7 @@ impossible.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from numbers import Rational, Real
@@ -12,7 +13,7 @@ from typing import Any, TypeGuard, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from kempe.errors import InputError, format_value
+from kempe.errors import DegreesWarning, InputError, format_value, warn
 from kempe.words import format_count
 
 PLAIN = frozenset({float, int, np.float64})
@@ -23,6 +24,10 @@ be floats."""
 LISTS = frozenset({list, tuple})
 DEEPEST = 64
 """Lists within lists that are read: as many as numpy has axes."""
+MOST_TURNED = 4.0 * math.pi
+LARGEST_DEGREES = 720.0
+"""Two turns, in radians and in degrees: angles below and above do not look like degrees, larger
+numbers, such as 1000, stand for no limit."""
 LARGEST = int(np.finfo(np.float64).max)
 """The largest float: whole numbers and fractions can be larger."""
 KINDS = {
@@ -106,6 +111,25 @@ def check_range(
     at = f"[{', '.join(map(str, place))}]" if place else ""
     allowed = f"its size must be below {below:g}" if np.isfinite(value) else "it must be finite"
     raise InputError(f"{what}{at} is {value:g}; {allowed}")
+
+
+def warn_of_degrees(angles: Any, what: str) -> bool:
+    """Warn if an angle, in radians, looks like one in degrees: a multiple of 5 beyond two turns, up
+    to 720. Return whether it did.
+
+    `angles` is an array, or a sequence whose entries that are no numbers are not looked at.
+    """
+    if is_array(angles):
+        if not np.any(np.abs(angles) > MOST_TURNED):
+            return False
+        angles = angles.ravel().tolist()
+    for x in angles:
+        if is_real(x) and MOST_TURNED < abs(x) <= LARGEST_DEGREES and x % 5.0 == 0.0:
+            turns = x / (2.0 * math.pi)
+            said = f"{what} is {x:g} rad, {turns:.1f} turns; for degrees write {x:g} * kempe.deg"
+            warn(said, DegreesWarning)
+            return True
+    return False
 
 
 def compute_median(values: Iterable[float]) -> float:

@@ -9,6 +9,7 @@ import tokenize
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NoReturn
 
 PROBLEM_LIMIT = 20
 """Problems of one file that are collected before giving up."""
@@ -102,6 +103,10 @@ class RoundedWarning(UserWarning):
     """Warning that rounded numbers were replaced by exact ones, such as a rotation with few digits."""
 
 
+class DegreesWarning(UserWarning):
+    """Warning that an angle, which is in radians, looks like one in degrees."""
+
+
 class DescriptionError(KempeError, ValueError):
     """Error in the description of a mechanism (file or calls); `problems` lists the faults."""
 
@@ -148,6 +153,76 @@ INSTEAD = {
 """What is said of options that a function does not have, by function and name."""
 
 
+BUDGET = "budget=kempe.Budget(starts=..., time_limit=...)"
+OPTIONS_ELSEWHERE = {
+    **dict.fromkeys(("atol", "eps", "tol"), "tolerance"),
+    **dict.fromkeys(
+        ("guess", "initial_guess", "initial_position", "init", "q0", "seed", "x0"), "start"
+    ),
+    **dict.fromkeys(("iterations", "max_iter", "max_iterations", "max_iters", "maxiter"), BUDGET),
+    **dict.fromkeys(("max_time", "starts", "time_limit", "timeout"), BUDGET),
+    **dict.fromkeys(("end_effector", "link"), "frame"),
+}
+"""Options of other libraries, and what is in their place here."""
+
+MEMBERS_ELSEWHERE = {
+    "fkine": "fk",
+    "fkine_all": "fk",
+    "forward": "fk",
+    "forward_kinematics": "fk",
+    "getTransform": "fk",
+    "ikine": "ik",
+    "ikine_LM": "ik",
+    "inverseKinematics": "ik",
+    "inverse_kinematics": "ik",
+    "solve": "ik",
+    "ikine_a": "ik_all",
+    "jacob0": "jacobian",
+    "jacobe": "jacobian",
+    "jac": "jacobian",
+    "dof": "mobility",
+    "n": "nv",
+    "njoints": "joint_names",
+    "links": "body_names",
+    "qlim": "lower",
+    "qz": "neutral",
+    "random_q": "random",
+    "randomConfiguration": "random",
+    "homeConfiguration": "neutral",
+    "close": "assemble",
+    "step": "drive",
+    "show_linkage": "plot",
+}
+"""Members of other libraries' models, and those of a `System` in their place."""
+
+
+class MissingMemberError(KempeError, AttributeError):
+    """Error of an attribute or method that an object lacks; the text says what is meant."""
+
+    def __init__(self, owner: str, member: str, said: str):
+        self.owner = owner
+        self.member = member
+        self.said = said
+        super().__init__(f"a {owner} has no {member!r}{said}")
+
+    def __reduce__(self):
+        return (type(self), (self.owner, self.member, self.said))
+
+
+def raise_missing_member(owner: object, name: str, said: str = "") -> NoReturn:
+    """Raise the error of a missing attribute, from `__getattr__`, with a hint or what is `said`.
+
+    The error of a property that failed is raised itself.
+    """
+    kind = type(owner)
+    if hasattr(kind, name):
+        object.__getattribute__(owner, name)
+    if name.startswith("_"):  # Python and IPython ask for many of these
+        raise AttributeError(f"a {kind.__name__} has no {name!r}")
+    said = said or hint(name, (n for n in dir(kind) if not n.startswith("_")))
+    raise MissingMemberError(kind.__name__, name, said)
+
+
 class CallError(KempeError, TypeError):
     """Error of a call with an unknown argument, or without a required argument."""
 
@@ -156,6 +231,9 @@ class CallError(KempeError, TypeError):
         self.name = name
         self.allowed = tuple(allowed)
         own = INSTEAD.get((function, name))
+        meant = OPTIONS_ELSEWHERE.get(name, "")
+        if not own and meant.partition("=")[0] in self.allowed:
+            own = f"did you mean {meant!r}?" if meant in self.allowed else f"give {meant}"
         said = f"; {own}" if own else hint(name, self.allowed)
         wrong = f" has no option {name!r}{said}" if self.allowed else f": {name}"
         super().__init__(function + wrong)

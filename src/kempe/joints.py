@@ -121,6 +121,11 @@ class JointType:
                 out.append(name)
         return tuple(out)
 
+    def list_turning_names(self, dim: int = 3, particle: bool = False) -> set[str]:
+        """List the names of the coordinates that are angles, of a screw, too."""
+        names, primitives = self.layout(dim, particle)
+        return {names[p.coordinate] for p in primitives if p.kind == R}
+
     @property
     def decomposition(self) -> str:
         """The joint as a product of revolute (R) and prismatic (P) joints, as text."""

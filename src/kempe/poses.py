@@ -617,9 +617,7 @@ def _compute_step_pose(motion: str, numbers: list[Any]) -> spatial.Array:
         p["xyz".index(motion)] = np.asarray(numbers[0], dtype=float)
         return spatial.pose(p=np.stack(p, axis=-1))
     if motion in ("rx", "ry", "rz"):
-        return spatial.pose(
-            {"rx": spatial.rot_x, "ry": spatial.rot_y, "rz": spatial.rot_z}[motion](numbers[0])
-        )
+        return spatial.pose(spatial.make_rotation(numbers[0], motion[1]))
     array = np.stack(np.broadcast_arrays(*numbers), axis=-1).astype(float)
     if motion == "align":
         return spatial.pose(spatial.align_z(array))

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kempe.arguments import numbers, quiet, together
-from kempe.errors import InputError
+from kempe.arrays import warn_of_degrees
+from kempe.errors import InputError, format_value
 from kempe.numerics.rank import Spectrum
 
 Array = NDArray[np.float64]
@@ -98,30 +99,44 @@ def inverse(X: ArrayLike) -> Array:
 @quiet
 def rot_x(angle: ArrayLike) -> Array:
     """Return the rotation (..., 3, 3) about x by `angle` (...) in radians."""
-    return _make_rotation(angle, 0)
+    return make_rotation(_read_typed_angle(angle), "x")
 
 
 @quiet
 def rot_y(angle: ArrayLike) -> Array:
     """Return the rotation (..., 3, 3) about y by `angle` (...) in radians."""
-    return _make_rotation(angle, 1)
+    return make_rotation(_read_typed_angle(angle), "y")
 
 
 @quiet
 def rot_z(angle: ArrayLike) -> Array:
     """Return the rotation (..., 3, 3) about z by `angle` (...) in radians."""
-    return _make_rotation(angle, 2)
+    return make_rotation(_read_typed_angle(angle), "z")
 
 
-def _make_rotation(angle: ArrayLike, axis: int) -> Array:
-    """Make the rotation (..., 3, 3) by `angle` (...) about the axis of this number."""
+def _read_typed_angle(angle: ArrayLike) -> Array:
+    """Read the angle of a call by a user, who is warned if it looks like degrees."""
     angle = numbers(angle, "angle")
+    warn_of_degrees(angle, "angle")
+    return angle
+
+
+@quiet
+def make_rotation(angle: ArrayLike, axis: str) -> Array:
+    """Make the rotation (..., 3, 3) by `angle` (...) [rad] about the axis "x", "y" or "z".
+
+    Errors: `InputError` for another axis.
+    """
+    angle = numbers(angle, "angle")
+    if not isinstance(axis, str) or axis not in ("x", "y", "z"):  # pyright: ignore
+        raise InputError(f"axis is {format_value(axis)}; it must be 'x', 'y' or 'z'")
+    k = "xyz".index(axis)
     c = np.cos(angle)
     s = np.sin(angle)
-    i = (axis + 1) % 3
-    j = (axis + 2) % 3
+    i = (k + 1) % 3
+    j = (k + 2) % 3
     out = np.zeros((*angle.shape, 3, 3))
-    out[..., axis, axis] = 1.0
+    out[..., k, k] = 1.0
     out[..., i, i], out[..., j, j] = c, c
     out[..., i, j], out[..., j, i] = -s, s
     return out
@@ -160,8 +175,10 @@ def rpy_to_matrix(rpy: ArrayLike) -> Array:
 
     The axes are fixed, as in URDF.
     """
-    r, p, y = np.moveaxis(numbers(rpy, "rpy", 3), -1, 0)
-    return rot_z(y) @ rot_y(p) @ rot_x(r)
+    angles = numbers(rpy, "rpy", 3)
+    warn_of_degrees(angles, "rpy")
+    r, p, y = np.moveaxis(angles, -1, 0)
+    return make_rotation(y, "z") @ make_rotation(p, "y") @ make_rotation(r, "x")
 
 
 @quiet

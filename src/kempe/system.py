@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from kempe.arguments import add_signature_options, explain_errors, quiet
 from kempe.budget import Budget
 from kempe.description.mechanism import extract_group
 from kempe.description.parts import Frame, ReadOnlyDict
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import MEMBERS_ELSEWHERE, InputError, UnknownNameError, raise_missing_member
 from kempe.model import configurations
 from kempe.model.model import FrameLike, Model, SystemType
 from kempe.spatial import Array
@@ -667,6 +667,15 @@ class System(Model, Pictured):
         )
 
     # ---- where everything is
+
+    if not TYPE_CHECKING:  # else type checkers would accept any name
+
+        def __getattr__(self, name: str) -> NoReturn:
+            """Raise the error of a missing member: which one is meant, also by a name that another
+            library has for it.
+            """
+            meant = MEMBERS_ELSEWHERE.get(name)
+            raise_missing_member(self, name, f"; did you mean {meant!r}?" if meant else "")
 
     def fk(
         self,

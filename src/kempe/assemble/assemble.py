@@ -31,7 +31,7 @@ from kempe.constraints.tape import TIME
 from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.task_functions import add_held_constraints
 from kempe.errors import InputError
-from kempe.model.configurations import make_q
+from kempe.model.configurations import make_q, warn_of_degrees_in_values
 from kempe.model.model import keep_answers
 from kempe.model.time_coordinate import fix_known_time
 from kempe.numerics.clock import LEAST, TimeLimit
@@ -64,6 +64,7 @@ def assemble(
         )
     if also.__class__ is not tuple or also:
         system = add_held_constraints(system, also)
+    warn_of_degrees_in_values(system, given)
     if TIME in given:
         system, given = fix_known_time(system, given)
     signs = branch is not None and branch not in system.structure.posture_names

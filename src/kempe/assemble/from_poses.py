@@ -241,7 +241,7 @@ def _choose_three_angles(R: Array, angles: Array, near: Array) -> Array:
     a, b, c = np.moveaxis(angles, -1, 0)
     locked = np.cos(b) < ANGLES_SINGULAR
     a = np.where(locked, near[:, 0], a)  # only a combination of a and c is determined
-    rest = np.swapaxes(spatial.rot_z(a) @ spatial.rot_y(b), -1, -2) @ R
+    rest = np.swapaxes(spatial.make_rotation(a, "z") @ spatial.make_rotation(b, "y"), -1, -2) @ R
     c = np.where(locked, np.arctan2(rest[:, 2, 1], rest[:, 1, 1]), c)
     # (2, N, 3)
     ways: Array = np.stack([[a, b, c], [a + np.pi, np.pi - b, c + np.pi]]).swapaxes(1, 2)

@@ -192,6 +192,8 @@ def convert_to_radians(system: System, rows: Any, degrees: bool) -> Array:
     Errors: `InputError`.
     """
     q = configurations.read_q(system, rows)
+    if not degrees:
+        configurations.warn_of_degrees_in_q(system, q, "q")
     return q / configurations.name_values(system, np.ones(system.nq)).convert_units(degrees)
 
 

@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import sys
+import warnings
 from collections.abc import Generator, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
@@ -46,6 +47,9 @@ _KEYWORD = re.compile(
 )
 """Keyword arguments in messages of the library that options of commands give."""
 
+_DEGREES = re.compile(r"\bwrite \S+ \* kempe\.deg")
+"""How messages of the library advise to give an angle in degrees."""
+
 _CONTROL = {i: f"\\x{i:02x}" for i in (*range(32), *range(127, 160)) if i not in (9, 10)}
 """Control characters, which a name from a file must not send to the terminal."""
 
@@ -58,22 +62,24 @@ class Commands(TyperGroup):
 
     def main(self, args: Any = None, *rest: Any, standalone_mode: bool = True, **extra: Any) -> Any:
         """Run the command line `args`; end the process with an exit code if `standalone_mode`."""
-        args = [expand_home(arg) for arg in (sys.argv[1:] if args is None else args)]
-        try:
-            code = super().main(args, *rest, standalone_mode=False, **extra)
-        except UsageError as error:
-            context = getattr(error, "ctx", None)
-            words = (
-                context.command_path.split()[1:]
-                if context
-                else [arg for arg in args[:1] if arg in self.commands]
-            )
-            path = " ".join(["kempe", *words])
-            message = getattr(error, "format_message", error.__str__)()
-            print_error(f"{message} (see '{path} --help')", "--json" in args)
-            code = REFUSED
-        except typer.Abort:
-            code = INTERRUPTED
+        with warnings.catch_warnings():
+            warnings.showwarning = print_warning
+            args = [expand_home(arg) for arg in (sys.argv[1:] if args is None else args)]
+            try:
+                code = super().main(args, *rest, standalone_mode=False, **extra)
+            except UsageError as error:
+                context = getattr(error, "ctx", None)
+                words = (
+                    context.command_path.split()[1:]
+                    if context
+                    else [arg for arg in args[:1] if arg in self.commands]
+                )
+                path = " ".join(["kempe", *words])
+                message = getattr(error, "format_message", error.__str__)()
+                print_error(f"{message} (see '{path} --help')", "--json" in args)
+                code = REFUSED
+            except typer.Abort:
+                code = INTERRUPTED
         if standalone_mode:
             sys.exit(code or COMPLETE)
         return code
@@ -193,8 +199,14 @@ def print_remark(text: str) -> None:
     print(f"kempe: {translate_keywords(text)}", file=sys.stderr, flush=True)
 
 
+def print_warning(message: Warning | str, *_place: object, **_more: object) -> None:
+    """Print a warning of the library as a remark: its place in the program is of no use here."""
+    print_remark(str(message))
+
+
 def translate_keywords(text: str) -> str:
-    """Return a message of the library with options of commands in place of keyword arguments.
+    """Return a message of the library with options of commands in place of keyword arguments and of
+    `kempe.deg`.
 
     `root='base'` becomes `--root base`, which can be typed; the names are the same.
     """
@@ -208,6 +220,7 @@ def translate_keywords(text: str) -> str:
         flag = "--xacro-arg" if flag == "--xacro" else flag
         return f"{flag} {value.replace(', ', ',')}"
 
+    text = _DEGREES.sub("give --deg", text)
     return _KEYWORD.sub(format_option, text) if "=" in text else text
 
 

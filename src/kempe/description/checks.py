@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from kempe import spatial
-from kempe.arrays import is_mapping, is_real, is_sequence
+from kempe.arrays import is_mapping, is_real, is_sequence, warn_of_degrees
 from kempe.description.parts import Body, Joint, Limits
 from kempe.errors import (
     DescriptionError,
@@ -307,6 +307,11 @@ def check_planar_placement(subject: str, X: Placement, where: Where | None) -> N
             )
 
 
+def name_place(subject: str, what: str, where: Where | None) -> str:
+    """Return the name of a number for a warning: "arm.toml:7: joint 'q': a limit"."""
+    return f"{f'{where}: ' if where else ''}{subject}: {what}"
+
+
 def check_limits(
     subject: str, given: object, type_: JointType, dim: int, particle: bool, where: Where | None
 ) -> dict[str, Limits]:
@@ -318,6 +323,7 @@ def check_limits(
     """
     coordinates = type_.list_coordinate_names(dim, particle)
     names = tuple(v for v in type_.list_velocity_names(dim, particle) if v in coordinates)
+    turning = type_.list_turning_names(dim, particle)
     out: dict[str, Limits] = {}
     for key, pair in _list_coordinate_values(subject, "limits", given, names, where):
         plain = pair.__class__ is np.ndarray and pair.ndim == 1 and pair.dtype != object
@@ -337,6 +343,8 @@ def check_limits(
         if lower > upper:
             said = f"lower limit {lower:g} is above upper limit {upper:g}"
             raise_problem(subject, said, where, "lower must not be above upper")
+        if key in turning:
+            warn_of_degrees((lower, upper), name_place(subject, "a limit", where))
         out[key] = (lower, upper)
     return out
 

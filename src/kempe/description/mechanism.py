@@ -11,13 +11,13 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from kempe import constraints
 from kempe.arguments import explain_errors, explain_method_errors, read_flag
-from kempe.arrays import is_sequence
+from kempe.arrays import is_array, is_sequence, warn_of_degrees
 from kempe.constraints.base import (
     Constraint,
     End,
@@ -34,6 +34,7 @@ from kempe.description import checks
 from kempe.description.parts import Body, Coupling, Declared, Frame, Joint, Shape
 from kempe.description.source import pause_garbage_collection
 from kempe.errors import (
+    MEMBERS_ELSEWHERE,
     DescriptionError,
     Fault,
     InputError,
@@ -41,6 +42,7 @@ from kempe.errors import (
     UnknownNameError,
     Where,
     format_value,
+    raise_missing_member,
 )
 from kempe.joints import Fixed, JointType, make_joint_type
 from kempe.late import import_late_member
@@ -1024,6 +1026,15 @@ class Mechanism(ConstraintMethods):
         out.postures = {k: dict(v) for k, v in self.postures.items()}
         return out
 
+    if not TYPE_CHECKING:  # else type checkers would accept any name
+
+        def __getattr__(self, name: str) -> NoReturn:
+            """Raise the error of a missing member: members of a `System` need `build` first."""
+            member = MEMBERS_ELSEWHERE.get(name, name)
+            built = member[0] != "_" and hasattr(import_late_member("System"), member)
+            said = f": call build() first; {member} is a member of the System" if built else ""
+            raise_missing_member(self, name, said)
+
     def build(self) -> System:
         """Return the compiled `System`.
 
@@ -1146,6 +1157,11 @@ class Mechanism(ConstraintMethods):
             self._check_parameters(X.names)
         except (InputError, UnknownNameError) as error:
             checks.raise_problem(subject, str(error), where)
+        for way in ("rpy", "angle"):
+            angles = turn.get(way)
+            if angles is not None:
+                given = angles if is_sequence(angles) or is_array(angles) else (angles,)
+                warn_of_degrees(given, checks.name_place(subject, way, where))
         return X
 
 

@@ -267,8 +267,7 @@ class Joint(InSentence):
 
     def _describe_limits(self) -> str:
         """Return the limits in words: "from -1 to 1 rad", by coordinate where there are several."""
-        names, primitives = self.type.layout(self.dim, self.of_particle)
-        turning = {names[p.coordinate] for p in reversed(primitives) if p.kind == R}
+        turning = self.type.list_turning_names(self.dim, self.of_particle)
         out: list[str] = []
         for name, (low, high) in self.limits.items():
             unit = "rad" if name in turning else "m"

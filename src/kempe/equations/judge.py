@@ -372,8 +372,8 @@ def multiply_primitives(primitives: Sequence[Primitive], values: Array) -> Array
             shift[..., "xyz".index(p.axis)] = p.multiplier * values[..., p.coordinate]
             step = spatial.pose(p=shift)
         elif p.kind == R:
-            turn = (spatial.rot_x, spatial.rot_y, spatial.rot_z)["xyz".index(p.axis)]
-            step = spatial.pose(turn(p.multiplier * values[..., p.coordinate]))
+            angle = p.multiplier * values[..., p.coordinate]
+            step = spatial.pose(spatial.make_rotation(angle, p.axis))
         else:
             step = spatial.pose(
                 spatial.quat_wxyz_to_matrix(values[..., p.coordinate : p.coordinate + 4])

@@ -176,8 +176,6 @@ def _compute_joint_twists(
             if p.kind == P:
                 X[:3, 3] += value * axis
             else:
-                X[:3, :3] = X[:3, :3] @ (spatial.rot_x, spatial.rot_y, spatial.rot_z)[
-                    "xyz".index(p.axis)
-                ](value)
+                X[:3, :3] = X[:3, :3] @ spatial.make_rotation(value, p.axis)
                 cross.setdefault(i, X[:3, :3].copy())
     return out

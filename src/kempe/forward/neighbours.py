@@ -644,7 +644,7 @@ class Correspondence:
             turn = (
                 spatial.quat_wxyz_to_matrix(values[..., k : k + 4])
                 if self._entries[k].kind == BALL
-                else spatial.rot_z(values[..., k])
+                else spatial.make_rotation(values[..., k], "z")
             )
             out.append((slice(first, first + size), turn[..., :size, :size]))
         return out

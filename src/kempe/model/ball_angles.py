@@ -44,7 +44,11 @@ def make_regular_chart(
     for name, at in _find_ball_angles(system).items():
         z, y, x = q[at].tolist()
         if abs(np.cos(y)) < NEAR and not any(system.coordinate_names[i] in held for i in at):
-            turned[name] = spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x)
+            turned[name] = (
+                spatial.make_rotation(z, "z")
+                @ spatial.make_rotation(y, "y")
+                @ spatial.make_rotation(x, "x")
+            )
     if not turned:
         return system, q, turned
     mechanism = system.mechanism
@@ -65,7 +69,10 @@ def convert_from_chart(system: Model, q: Array, turned: dict[str, Array]) -> Arr
         at = _find_ball_angles(system)[name]
         z, y, x = q[at]
         q[at] = spatial.matrix_to_rpy(
-            spatial.rot_z(z) @ spatial.rot_y(y) @ spatial.rot_x(x) @ turn
+            spatial.make_rotation(z, "z")
+            @ spatial.make_rotation(y, "y")
+            @ spatial.make_rotation(x, "x")
+            @ turn
         )[::-1]
     return q
 

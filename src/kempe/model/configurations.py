@@ -11,14 +11,18 @@ from numpy.typing import ArrayLike
 
 from kempe.arguments import check_name, explain_errors, make_generator, numbers, together
 from kempe.arrays import (
+    MOST_TURNED,
+    PLAIN,
     check_range,
     convert_array,
+    is_array,
     is_number_list,
     is_real,
     list_named_rows,
     read_mapping,
     read_reals,
     unwrap_scalar,
+    warn_of_degrees,
 )
 from kempe.errors import InputError, UnknownNameError
 from kempe.joints import P, R
@@ -87,6 +91,8 @@ def _read_configuration(
     """
     if is_number_list(q):
         array = convert_array(q, word, WANTED)
+        if array.ndim > 1 or max(q) > MOST_TURNED or min(q) < -MOST_TURNED:
+            warn_of_degrees_in_q(system, array, word)
     else:
         if q.__class__ is not np.ndarray or q.dtype.names:
             coordinates = read_mapping(q)
@@ -101,6 +107,34 @@ def _read_configuration(
         got = "a single number" if array.ndim == 0 else format_count(array.shape[-1], "coordinate")
         raise InputError(f"{word} has {got}; {system.name} needs {system.nq}: {names}")
     return array
+
+
+def warn_of_degrees_in_q(system: Model, q: Array, what: str) -> None:
+    """Warn of the first angle of configurations (..., nq) that looks like one in degrees.
+
+    This is for numbers that were typed, not for arrays, which programs compute.
+    """
+    if q.shape[-1:] == (system.nq,):
+        for i in _index_angles(system):
+            if warn_of_degrees(q[..., i], f"{what}[{system.coordinate_names[i]!r}]"):
+                return
+
+
+def warn_of_degrees_in_values(system: Model, values: Mapping[str, Any]) -> None:
+    """Warn if a value by name, of a coordinate that is an angle, looks like one in degrees."""
+    for name, x in values.items():
+        if x.__class__ in PLAIN:
+            if not -MOST_TURNED <= x <= MOST_TURNED and list_units(system).get(name) == "rad":
+                warn_of_degrees((x,), f"{name!r}")
+        elif is_array(x) and x.dtype.kind in "fiu" and list_units(system).get(name) == "rad":
+            warn_of_degrees(x, f"{name!r}")
+
+
+@keep_answers
+def _index_angles(system: Model) -> list[int]:
+    """Return the indices in q of the coordinates that are angles."""
+    unit = list_units(system)
+    return [i for i, name in enumerate(system.coordinate_names) if unit[name] == "rad"]
 
 
 @keep_answers
@@ -254,6 +288,7 @@ def make_q(
     if given is None:
         needed = "a dict by coordinate name, or the name of a posture"
         raise InputError(f"coordinates are {type(coordinates).__name__}; they must be {needed}")
+    warn_of_degrees_in_values(system, given)
     given = compute_source_values(system, given)
     index = _index_coordinates(system)
     single = True
@@ -514,6 +549,7 @@ def compute_distance(system: Model, q0: Any, q1: Any) -> Array:
 # ---- units and names of coordinates
 
 
+@keep_answers
 def list_units(system: Model) -> dict[str, str]:
     """Return the unit of each coordinate and velocity by name: 'rad', 'm', or '' in a quaternion."""
     out: dict[str, str] = {}

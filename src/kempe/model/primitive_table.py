@@ -156,7 +156,7 @@ class _TableRows:
         if primitive.kind == P:
             X = X @ spatial.pose(p=np.array([0.0, 0.0, offset])) if offset else X
         elif factor == 0.0:
-            X = X @ spatial.pose(spatial.rot_z(offset)) if offset else X
+            X = X @ spatial.pose(spatial.make_rotation(offset, "z")) if offset else X
         else:
             turn = offset
         if factor != 0.0:

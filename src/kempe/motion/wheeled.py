@@ -23,7 +23,7 @@ from kempe.errors import UnsupportedError
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import sample_configurations
 from kempe.numerics.rank import Level, Spectrum
-from kempe.spatial import Array, adjoint, align_z, inverse, pose, rot_z
+from kempe.spatial import Array, adjoint, align_z, inverse, make_rotation, pose
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -340,7 +340,9 @@ def _place_axle(axle: Axle, samples: list[Array]) -> Axle:
         ahead = -ahead
     middle, sense = _find_axle_middle(axle, samples, foot, ahead)
     angle = math.atan2(sense * ahead[1], sense * ahead[0])
-    return replace(axle, X_BA=axle.X_BA @ pose(rot_z(angle), [*middle, 0.0]), angle=angle)
+    return replace(
+        axle, X_BA=axle.X_BA @ pose(make_rotation(angle, "z"), [*middle, 0.0]), angle=angle
+    )
 
 
 def _find_axle_middle(
