@@ -421,3 +421,37 @@ def test_what_is_held_beyond_its_limits_is_outside(name, hunt):
         assert is_reported(batch)
         assert is_reported(ik_all(robot, X, frame, fixed={joint: np.full(len(X), value)}))
         assert all(is_reported(ik_all(robot, x, frame, fixed={joint: value})) for x in X)
+
+
+@pytest.mark.parametrize(("name", "joint"), [("panda", "panda_joint7"), ("iiwa14", "q3")])
+def test_bound_calls_with_held_joints_answer_as_others(name, joint):
+    """The second plain call goes by the bound form, one with a start or an unusual value does not."""
+    system = kempe.load(name)
+    frame = LIBRARY[name]
+    at = system.coordinate_names.index(joint)
+    for q in system.random(4, 25):
+        X = system.fk(q, frame)
+        X[:3, 3] *= 1.0 if q[0] > 0.0 else 1.3
+        value = float(q[at])
+        calls = [
+            system.ik_all(X, frame, fixed={joint: value}),
+            system.ik_all(X, frame, fixed={joint: value}),
+            ik_all(system, X, frame, fixed={joint: np.array(value)}),
+        ]
+        first = calls[-1]
+        for other in calls[:-1]:
+            np.testing.assert_array_equal(other.q, first.q)
+            np.testing.assert_array_equal(other.inside, first.inside)
+            assert str(other) == str(first) and other.complete == first.complete
+            assert other.held == first.held
+    key = (frame, joint)
+    assert key in system._kept["ik_all"]
+    bound = system._kept["ik_all"][key]
+    assert bound(X, {joint: value}) is not None
+    assert bound(X, {joint: system.upper[at] + 0.1}) is None
+    beyond = system.ik_all(X, frame, fixed={joint: system.upper[at] + 0.1})
+    assert not beyond.inside.any()
+    with pytest.raises(kempe.errors.InputError):
+        system.ik_all(X, frame, fixed={joint: math.nan})
+    with pytest.raises(kempe.errors.InputError):
+        system.ik_all(X, frame, fixed=[joint])

@@ -43,6 +43,7 @@ from kempe.inverse.closed_forms.solve import (
 from kempe.inverse.spare_joints import search_spare_joints
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import make_allocator
+from kempe.kernels.forward.table_layout import SLIDE
 from kempe.model.configurations import find_winding_angles
 from kempe.model.model import bind_call
 from kempe.poses import correct_rotations
@@ -199,10 +200,12 @@ def solve_by_chain(problem: Problem) -> Solutions:
         watch,
     )
     turned_particle = bool(system.structure.table.at[name][2])
-    plain = single and not values and not pack_one_sided_rows(system).declared
+    plain = single and not pack_one_sided_rows(system).declared
     usual = task == "pose" and system.dim == 3 and not turned_particle
-    if plain and usual and not plan.locked and plan.method.blocks is not None:
-        bind_call(system, "ik_all", name, lambda: BoundIkAll(system, name).__call__)
+    if plain and usual and plan.locked == plan.fixed and BoundIkAll.is_for(plan):
+        held = tuple(values)
+        key = (name, *held) if held else name
+        bind_call(system, "ik_all", key, lambda: BoundIkAll(system, name, held).__call__)
     near = read_near_configurations(system, problem.start, packed_problem.lead)
     answer = solve_chain_problem(packed_problem, plan, near, values, threads)
     if (
@@ -270,47 +273,77 @@ SOLVERS = (
 
 # ---- the bound form of plain calls, and the kernels
 
+NUMBERS = (float, int, np.float64)
+"""Types of values of held joints that plain calls have."""
+
 
 class BoundIkAll:
-    """`ik_all` of single poses for one frame, with all look-ups done once."""
+    """`ik_all` of single poses for one frame and held joints, with all look-ups done once."""
 
-    def __init__(self, system: Model, frame: str):
+    def __init__(self, system: Model, frame: str, held: tuple[str, ...] = ()):
         lines = find_chain_lines(system, frame, Z_AXIS)
-        plan = find_plan(system, frame, lines, "pose", Z_AXIS, ())
+        plan = find_plan(system, frame, lines, "pose", Z_AXIS, held)
         self.system = system
         self.frame = frame
+        self.held = held
         self.plan = plan
         blocks: Any = plan.method.blocks
         self.kernel: Callable[..., int] = blocks()
         self.base = move_inside_limits(system, system.neutral[None].copy())
-        self.near = np.ascontiguousarray(system.neutral[None, plan.lines.q_index])
+        self.near = np.ascontiguousarray(system.neutral[None, lines.q_index])
+        self.first = np.array([plan.first]) if plan.first else self.near
+        at = [lines.names.index(name) for name in held]
+        low, high = lines.limits[:, at].tolist()
+        self.places = list(zip(held, at, low, high, strict=True))
+        """Name, place, lower and upper limit of each held joint."""
         self.counts = np.zeros((1, 2), dtype=np.int64)
         self.ints = plan.ints
         self.floats = plan.floats
         self.left = np.zeros(1, dtype=np.int64)  # written, never read
         self.new = make_allocator(1, plan.method.slots, len(plan.lines) + A.INFO)
 
+    @staticmethod
+    def is_for(plan: ChainPlan) -> bool:
+        """Whether kernels alone answer by this plan, unless a target needs a second look."""
+        plain = not (plan.lines.span.wide or plan.blurred or (plan.lines.kinds == SLIDE).any())
+        return plan.method.blocks is not None and (plain or not plan.fixed)
+
     def __reduce__(self) -> tuple[Any, ...]:
-        return BoundIkAll, (self.system, self.frame)
+        return BoundIkAll, (self.system, self.frame, self.held)
 
     def make_problem(self, target: Array) -> ChainProblem:
         """The problem that was solved."""
         return ChainProblem(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
 
-    def __call__(self, target: Array) -> Solutions | None:
-        """Return all solutions for a pose (4, 4); None where it needs the general solver."""
+    def __call__(self, target: Array, fixed: Mapping[str, Any] | None = None) -> Solutions | None:
+        """Return all solutions for a pose (4, 4); None where it needs the general solver.
+
+        `fixed` are the values of the held joints.
+        """
+        locked = self.near
+        if fixed is not None:
+            locked = self.first.copy()
+            for name, i, low, high in self.places:
+                value = fixed[name]
+                if value.__class__ not in NUMBERS or not low <= value <= high:
+                    return None
+                locked[0, i] = value
         # the answer keeps it
         rows = self.new()
         X = target.copy()
         try:
             used = self.kernel(
-                self.ints, self.floats, X[None], self.near, self.near, 1, rows, self.left
+                self.ints, self.floats, X[None], self.near, locked, 1, rows, self.left
             )
         except TypeError:  # not float64
             return None
         if used >= 0 or (used == -1 and not np.all(np.abs(X) < FARTHEST)):
             return None
-        return Solutions((self, X), self.plan, self.base, rows, self.counts, None, -1 - used)
+        if fixed is None:
+            return Solutions((self, X), self.plan, self.base, rows, self.counts, None, -1 - used)
+        return Solutions(
+            (self, X), self.plan, self.base, rows, self.counts, None, -1 - used, locked, locked
+        )
 
 
 def solve_chain_problem(
