@@ -1101,7 +1101,7 @@ class System(Model, Pictured):
             budget=budget,
         )
 
-    @explain_errors
+    @partial(explain_errors, fast=True)
     def ik_step(
         self,
         q: Any,
@@ -1175,6 +1175,14 @@ class System(Model, Pictured):
         resulting configuration. Velocity constraints hold to second order, and one-sided
         constraints as limits do.
         """
+        if frame.__class__ is str and weights is None:
+            bound = self._kept["ik_step"].get(frame)
+            if (
+                bound is not None
+                and (answer := bound(q, wanted, dt, velocity_limits, damping, keep_direction))
+                is not None
+            ):
+                return answer
         from kempe.inverse.ik_step import ik_step
 
         return ik_step(

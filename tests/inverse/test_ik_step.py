@@ -12,7 +12,7 @@ from scipy.optimize import linprog, lsq_linear
 
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError
-from kempe.inverse.frame_step import Servo
+from kempe.inverse.ik_step import BoundStep
 from kempe.numerics.least_squares import SHIFT, minimize_bounded_residual, minimize_quadratic_in_box
 
 HAND = "panda_link7"
@@ -78,7 +78,7 @@ def test_limits_are_those_of_a_bounded_least_squares_problem(six):
     rng = np.random.default_rng(2)
     met = 0
     dt = 1e-4
-    shift = SHIFT * Servo(six, HAND).near
+    shift = SHIFT * BoundStep(six, HAND).near
     for q in six.random(rng, 200):
         q = np.where(rng.random(6) < 0.3, np.where(rng.random(6) < 0.5, six.lower, six.upper), q)
         J = six.jacobian(q, HAND)

@@ -22,17 +22,6 @@ from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.slip import compute_unit_rows, find_shortest_velocity, has_velocity_constraints
 from kempe.equations.velocity import list_velocity_row_names
 from kempe.errors import InputError
-from kempe.inverse.frame_step import (
-    ASIDE,
-    BLIND,
-    FLAT,
-    LARGEST,
-    SADDLE,
-    STILL,
-    TAKEN,
-    TRIALS,
-    compute_progress,
-)
 from kempe.numerics.least_squares import (
     LEAST,
     NEAR,
@@ -75,6 +64,32 @@ EPSILON = 1e-15
 """Part of a coordinate by which it is at a limit."""
 BEYOND = 1e-12
 """By how much a bound may seem to be exceeded: rounding."""
+
+LARGEST = 0.5
+ASIDE = 0.05
+"""Longest step of a coordinate where no speed bounds it, and where a singular configuration is
+left."""
+FLAT = 1e-10
+SADDLE = 1e-6
+"""Parts of the largest curvature: up to the first it counts as none, below minus the second as
+negative."""
+TAKEN = 0.1
+"""Part of the promised decrease that must be had."""
+STILL = 1e-20
+BLIND = 1e-13
+"""Promised decreases, as parts of the square of the error, below which one rests, or rounding hides
+the true one."""
+LITTLE = 0.01
+LEADS = 0.05
+"""Decreases of the error, as parts of what the joints move: up to the first no direction is kept,
+from the second on it alone counts; between them the straight step and the one towards the nearest
+pose are mixed."""
+LITTLE_USE = 0.1
+MUCH_USE = 0.5
+"""The same for the part of the speed, or of the rest of the way, that a straight step makes use
+of."""
+TRIALS = 16
+"""Steps tried in one cycle, each shorter than the one before."""
 
 
 class Stage(NamedTuple):
@@ -687,6 +702,27 @@ class _Descent:
         self.G = np.concatenate([self.G, G])
         self.low = np.concatenate([self.low, low])
         self.high = np.concatenate([self.high, high])
+
+
+def compute_progress(A: Array, b: Array, x: Array, low: Array, high: Array) -> float:
+    """Compute how far straight velocities x (n,) in a box lead on, from 0 to 1.
+
+    By the decrease of what is missed for what the joints move, and by how much of the room that the
+    box and the rest of the way leave is used: close to a singular configuration it is little.
+    """
+    wish = math.sqrt(float(b @ b))
+    size = math.sqrt(float(x @ x))
+    had = float(b @ (A @ x))
+    if not had > 0.0:
+        return 0.0
+    gain = had / (wish * size)
+    room = np.where(x > 0.0, high, -low)
+    used = max(had / wish**2, float(np.max(np.abs(x) / np.maximum(room, 1e-300))))
+    return min(
+        1.0,
+        max(0.0, (gain - LITTLE) / (LEADS - LITTLE)),
+        max(0.0, (used - LITTLE_USE) / (MUCH_USE - LITTLE_USE)),
+    )
 
 
 def make_convex_problem(H: Array, pull: Array, J: Array, damping: float) -> tuple[Array, Array]:

@@ -16,16 +16,26 @@ from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.forward.fk import query, refuse_bad_configuration
-from kempe.inverse.chain.serial_chain import find_obstacle
+from kempe.inverse.chain.serial_chain import find_chain, find_obstacle
 from kempe.inverse.constrained_step import ConstrainedSteps, Stage, list_stages
-from kempe.inverse.frame_step import SLOW, Move, Servo, compute_pose_error
-from kempe.kernels.forward.table_layout import BALL, TURN
+from kempe.kernels.compiled import make_allocator, servo_step
+from kempe.kernels.forward.table_layout import (
+    BALL,
+    KIND,
+    Q_INDEX,
+    TURN,
+    V_INDEX,
+    get_row_integers,
+)
+from kempe.kernels.servo.servo_layout import ANSWER, FRACTION, SLOW
+from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import read_q
-from kempe.model.model import keep_answers
+from kempe.model.model import bind_call, keep_answers
 from kempe.model.own_tree import remove_cut_marks
+from kempe.numerics.least_squares import NEAR
 from kempe.poses import correct_rotations, read_pose_array
 from kempe.report import by_code, summarize_fields
-from kempe.spatial import Array
+from kempe.spatial import Array, log_so3
 from kempe.status import Status
 
 if TYPE_CHECKING:
@@ -37,6 +47,8 @@ WHOLE = 1.0 - 1e-3
 """Fraction of what is wanted that counts as all of it: damping takes less than the rest far from
 singularities."""
 NONE = np.zeros(0)
+PLAIN = (type(None), float, int)
+"""Kinds of limits of speed that a plain call has."""
 EYE = np.eye(3)
 TURNING = math.pi
 SLIDING = 1.0
@@ -162,46 +174,171 @@ def ik_step(
         return _make_constrained_step(
             system, q, wanted, name, dt, speed, default, damping, keep_direction, w
         )
-    servo = _make_servo(system, name)
-    x = _parse_motion(wanted)
-    fastest = speed[servo.v]
-    case = (
-        x.tobytes(),
+    bound = bind_call(system, "ik_step", name, lambda: BoundStep(system, name))
+    return bound.take_step(
+        q,
+        _parse_motion(wanted),
         dt,
-        fastest.tobytes(),
+        np.ascontiguousarray(speed),
         damping,
         keep_direction,
-        None if w is None else w.tobytes(),
+        w,
+        default is not None,
     )
 
-    def compute_move(q: Array) -> Move:
-        if servo.upcoming[0] == (case, q.tobytes()):
-            return servo.upcoming[1]
-        return servo.compute_move(q, x, dt, fastest, damping, keep_direction, w)
 
-    def compute_velocity_after(part: float) -> Array:
-        there = servo.take_step(q, servo.expand_velocities(part * own), dt)
-        move = compute_move(there)
-        servo.upcoming = (case, there.tobytes()), move
-        return move.velocity
+class BoundStep:
+    """`ik_step` of one frame that its own chain moves, with all look-ups done once."""
 
-    own, low, high, J, twist, calm = compute_move(q)
-    if not calm:
-        own = own * find_steady_fraction(compute_velocity_after, own, fastest)
-    velocity = servo.expand_velocities(own)
-    had = J @ own
-    part = _compute_fraction(had, twist) if w is None else _compute_fraction(w * had, w * twist)
-    at = ((own <= low) | (own >= high)).nonzero()[0]
-    names = tuple(servo.names[int(i)] for i in at)
-    return IkStep(
-        servo.take_step(q, velocity, dt),
-        velocity,
-        had,
-        part,
-        names,
-        system,
-        _select_default_speeds(system, names, velocity, speed, default),
-    )
+    def __init__(self, system: Model, frame: str):
+        self.system = system
+        self.frame = frame
+        chain = find_chain(system, frame)
+        n = len(chain.v_index)
+        rows = get_row_integers(chain.ints)
+        place = {int(r[V_INDEX]): int(r[Q_INDEX]) for r in rows if r[KIND] != BALL}
+        balls = sorted({(int(r[Q_INDEX]), int(r[V_INDEX])) for r in rows if r[KIND] == BALL})
+        head = (len(chain.q_index), n, len(balls), system.nq, system.nv, len(chain.ints))
+        self.ints = np.concatenate(
+            [
+                head,
+                chain.q_index,
+                chain.v_index,
+                [place.get(k, -1) for k in range(n)],
+                [i for i, _ in balls],
+                [k for _, k in balls],
+                chain.ints,
+            ]
+        ).astype(np.int64)
+        reach = min((b.largest for b in chain.bounds), default=math.inf)
+        self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
+        """Singular values to be damped: metres, so less where the whole chain is shorter than
+        one."""
+        length = compute_characteristic_length(system)
+        turns = system.structure.coordinates.turning[chain.v_index]
+        slides = [k in place and not turns[k] for k in range(n)]
+        self.floats = np.concatenate(
+            [
+                [self.near],
+                [1.0 / length] * 3,
+                [1.0] * 3,
+                np.where(slides, length, 1.0),
+                system.lower[chain.v_index],
+                system.upper[chain.v_index],
+                chain.floats,
+            ]
+        )
+        names = system.structure.velocity_names
+        self.names = [names[int(i)] for i in chain.v_index]
+        self.speed = list_speed_limits(system)
+        self.default = {
+            names[i]: float(self.speed[i])
+            for i in range(system.nv)
+            if not math.isfinite(system.structure.velocity_limits[i])
+        }
+        """Speeds of the coordinates that have the default."""
+        self.v_index = dict(zip(self.names, chain.v_index.tolist(), strict=True))
+        self.new = make_allocator(system.nq + system.nv + ANSWER + n)
+        self.compute = servo_step.compute_frame_step
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return BoundStep, (self.system, self.frame)
+
+    def __call__(
+        self,
+        q: Any,
+        wanted: Any,
+        dt: Any,
+        velocity_limits: Any,
+        damping: Any,
+        keep_direction: bool,
+    ) -> IkStep | None:
+        """Return the step of a plain call; None where arguments have to be looked at."""
+        if q.__class__ is not np.ndarray or velocity_limits.__class__ not in PLAIN:
+            return None
+        if wanted.__class__ is not np.ndarray:
+            if wanted.__class__ is not list or len(wanted) != 6:
+                return None
+            wanted = np.array(wanted, dtype=np.float64)
+        elif wanted.shape == (4, 4):
+            wanted = wanted.reshape(16)
+        elif wanted.shape != (6,):
+            return None
+        if velocity_limits is None:
+            speed = self.speed
+        elif velocity_limits >= 0.0:
+            speed = np.array([velocity_limits], dtype=np.float64)
+        else:
+            return None
+        if not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
+            return None
+        out = self.new()
+        try:
+            count = self.compute(
+                self.ints, self.floats, q, wanted, speed, NONE, dt, damping, keep_direction, out
+            )
+        except (TypeError, ValueError):
+            return None
+        return None if count < 0 else self.make_answer(out, count, velocity_limits is None)
+
+    def take_step(
+        self,
+        q: Array,
+        wanted: Array,
+        dt: float,
+        speed: Array,
+        damping: float,
+        keep_direction: bool,
+        weights: Array | None,
+        default: bool,
+    ) -> IkStep:
+        """Take a step with arguments that were looked at."""
+        out = self.new()
+        w = NONE if weights is None else np.ascontiguousarray(weights)
+        x = np.ascontiguousarray(wanted).reshape(-1)
+        q = np.ascontiguousarray(q)
+        count = self.compute(
+            self.ints,
+            self.floats,
+            q,
+            x,
+            speed,
+            w,
+            float(dt),
+            float(damping),
+            bool(keep_direction),
+            out,
+        )
+        if count < 0:
+            refuse_bad_configuration(self.system, q)
+        return self.make_answer(out, count, default)
+
+    def make_answer(self, out: Array, count: int, default: bool) -> IkStep:
+        """Make the answer of what the kernel wrote, with `count` velocities at a limit."""
+        system = self.system
+        nq = system.nq
+        end = nq + system.nv
+        velocity = out[nq:end]
+        answer = object.__new__(IkStep)
+        fields = answer.__dict__  # one by one: a frozen class takes longer
+        fields["q"] = out[:nq]
+        fields["velocity"] = velocity
+        fields["twist"] = out[end : end + 6]
+        fields["fraction"] = out.item(end + FRACTION)
+        fields["saturated"] = ()
+        fields["system"] = system
+        if count:
+            limited = out[end + ANSWER :].tolist()
+            names = tuple(name for name, at in zip(self.names, limited, strict=True) if at)
+            fields["saturated"] = names
+            if default:
+                fields["default_speed"] = tuple(
+                    name
+                    for name in names
+                    if name in self.default
+                    and abs(velocity[self.v_index[name]]) >= self.default[name] * (1.0 - BESIDE)
+                )
+        return answer
 
 
 def _select_default_speeds(
@@ -246,11 +383,6 @@ def find_steady_fraction(after: Callable[[float], Array], velocity: Array, faste
         big = np.abs(velocity) > least
         part = float((least[big] / np.abs(velocity[big])).min(initial=1.0))
     return part
-
-
-@keep_answers
-def _make_servo(system: Model, frame: str) -> Servo:
-    return Servo(system, frame)
 
 
 def _make_constrained_step(
@@ -407,6 +539,27 @@ def _compute_fraction(had: Array, requested: Array) -> float:
     """Compute which fraction of the requested motion is achieved."""
     square = float(requested @ requested)
     return float(requested @ had) / square if square else 1.0
+
+
+def compute_pose_error(goal: Array, pose: Array) -> Array:
+    """Compute the error (6,) of a pose: [position; rotation vector] in ground axes."""
+    out = np.empty(6)
+    out[:3] = goal[:3, 3] - pose[:3, 3]
+    R = goal[:3, :3] @ pose[:3, :3].T
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    x = 0.5 * (h - f)
+    y = 0.5 * (c - g)
+    z = 0.5 * (d - b)
+    cosine = 0.5 * (a + e + i - 1.0)
+    if not cosine > -0.9:  # the antisymmetric part fades
+        out[3:] = log_so3(R)
+        return out
+    sine = math.sqrt(x * x + y * y + z * z)
+    factor = math.atan2(sine, cosine) / sine if sine > 1e-8 else 1.0
+    out[3] = factor * x
+    out[4] = factor * y
+    out[5] = factor * z
+    return out
 
 
 def _parse_motion(wanted: Any) -> Array:

@@ -267,7 +267,7 @@ class Model:
             if table is None
             else table
         )
-        own["_kept"] = {verb: {} for verb in ("fk", "ik", "ik_all")}
+        own["_kept"] = {verb: {} for verb in ("fk", "ik", "ik_all", "ik_step")}
         self._check_placements()
 
     def __setattr__(self, name: str, value: object) -> None:

@@ -1,0 +1,28 @@
+"""Where the numbers of a frame's servo lie, for its kernel and for the code that packs them."""
+
+HEAD = 6
+"""Integers in front: coordinates q of the chain, its velocities, quaternions, coordinates q of the
+system, its velocities, integers of the chain's table."""
+
+BALLS = 2
+"""Place of the number of quaternions in the head; vector coordinates are the velocities without
+three for each quaternion."""
+
+NEAR = 0
+METRIC = 1
+FLOATS = 7
+"""Places of the numbers in front: singular values to be damped, weights of the error's rows."""
+
+TWIST = 0
+FRACTION = 6
+ANSWER = 7
+"""What follows q and the velocities in the answer, and how many numbers; then, for each velocity of
+the chain, whether it is at a limit."""
+
+BAD_CONFIGURATION = -1
+BAD_MOTION = -2
+WRONG_SHAPE = -3
+"""What the kernel returns where it gives no step."""
+
+SLOW = 0.0499
+"""Part of its speed above which no joint turns back from one cycle to the next."""
