@@ -1,22 +1,21 @@
-"""Sphinx configuration: furo, MyST pages whose code cells are run, autodoc of the public names."""
+"""Sphinx configuration: furo, pages in Markdown, autodoc of the public names. No code is run."""
 
-import os
 import re
-import sys
 from pathlib import Path
 
-from kempe import __version__
+from docutils.nodes import SkipNode
+from latex2mathml.converter import convert
 
-os.environ["KEMPE_QUIET"] = "1"  # the notice about compilation belongs to no page
+from kempe import __version__
 
 project = "Kempe"
 author = "The Kempe authors"
 copyright = author
 version = release = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 napoleon_google_docstring = False
-exclude_patterns = ["_build", "jupyter_execute"]
+exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = f"Kempe {version}"
 html_static_path = ["_static"]
@@ -24,11 +23,7 @@ html_css_files = ["kempe.css"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
-nb_execution_mode = "force"
-nb_execution_raise_on_error = True
-nb_execution_timeout = 120
-nb_execution_in_temp = True
-nb_merge_streams = True
+html_math_renderer = "mathml"
 
 default_role = "code"
 autodoc_member_order = "bysource"
@@ -77,16 +72,15 @@ def _plain(app, what, name, obj, options, lines):
     ]
 
 
-def _pictures(app):
-    """Draw the pictures of the gallery, which the repository does not keep."""
-    sys.path.insert(0, str(Path(__file__).parent))
-    from gallery_page import draw
-
-    draw()
+def _write_formula(translator, node):
+    """Write a formula as MathML, which browsers show without a script and without the network."""
+    display = "inline" if node.tagname == "math" else "block"
+    translator.body.append(convert(node.astext(), display=display))
+    raise SkipNode
 
 
 def setup(app):
     """Connect the hooks."""
-    app.connect("builder-inited", _pictures)
+    app.add_html_math_renderer("mathml", (_write_formula, None), (_write_formula, None))
     # before napoleon, which makes reStructuredText of the sections
     app.connect("autodoc-process-docstring", _plain, priority=400)

@@ -5,100 +5,40 @@ somewhere.
 from __future__ import annotations
 
 import ast
-import contextlib
 import importlib
 import importlib.util
 import inspect
-import io
-import itertools
 import re
 import shlex
 import sys
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
 
 import pytest
 import sources
 from command import Result
 from hunts import some
-from tables import restored
-from test_lecture import SAID
 
 import kempe
 from kempe import library
-from kempe.errors import KempeError, MissingExtraError
 
 ROOT = Path(__file__).parents[1]
+sys.path.append(str(ROOT / "tools"))
+import docs  # noqa: E402
+
 DOCS = ROOT / "docs"
 PAGES = sorted(
     [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *DOCS.glob("*.md"), *DOCS.glob("add/*.md")]
 )
 FENCE = re.compile(r"^```([^\n`]*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\(([^)\s]+)\)")
-NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+")
 README_COMMAND = re.compile(r"\.venv/bin/kempe ([^\n]*)")
 
 pages = pytest.mark.parametrize(
     "path", PAGES, ids=lambda p: p.relative_to(ROOT).with_suffix("").as_posix()
 )
-
-
-class Block(NamedTuple):
-    """A fenced block: what its first line says after the backticks, its text, the line where that
-    starts.
-    """
-
-    kind: str
-    text: str
-    line: int
-
-
-def blocks(path: Path) -> list[Block]:
-    page = path.read_text(encoding="utf-8")
-    return [
-        Block(m[1].strip(), m[2], page.count("\n", 0, m.start(2)) + 1) for m in FENCE.finditer(page)
-    ]
-
-
-def is_code(block: Block) -> bool:
-    return block.kind in ("python", "{code-cell} python", "{code-cell} ipython3", "{code-cell}")
-
-
-def run(path: Path, block: Block, names: dict[str, object]) -> str:
-    """What a block prints. A cell tagged `raises-exception` must raise; one that needs an absent
-    extra skips.
-    """
-    source = "\n" * (block.line - 1) + re.sub(r"^:\w+:.*$", "", block.text, flags=re.MULTILINE)
-    must_raise = re.search(r"^:tags:.*raises-exception", block.text, re.MULTILINE)
-    printed = io.StringIO()
-    try:
-        with (
-            contextlib.redirect_stdout(printed),
-            pytest.raises(KempeError) if must_raise else contextlib.nullcontext(),
-        ):
-            exec(compile(source, str(path), "exec"), names)
-    except MissingExtraError as error:
-        pytest.skip(f"{error.package} is not installed")
-    return printed.getvalue()
-
-
-def same_output(got: str, shown: str) -> bool:
-    """Whether two outputs have the same words, and numbers that agree; `...` stands for a part of a
-    word.
-    """
-    words = got.split()
-    wanted = shown.split()
-    return len(words) == len(wanted) and all(map(_same_word, words, wanted))
-
-
-def _same_word(got: str, shown: str) -> bool:
-    if "..." in shown:
-        return re.fullmatch(".+".join(map(re.escape, shown.split("..."))), got) is not None
-    numbers = ([float(x) for x in NUMBER.findall(text)] for text in (got, shown))
-    return NUMBER.sub("#", got) == NUMBER.sub("#", shown) and all(
-        abs(a - b) <= 1e-5 for a, b in zip(*numbers, strict=True)
-    )
+blocks = docs.read_blocks
+same_output = docs.same_output
 
 
 @pytest.mark.parametrize(
@@ -123,34 +63,26 @@ def test_the_readme_shows_nothing_that_depends_on_the_processor():
     assert not re.findall(r"\d[eE][-+]\d+|\d+ (?:steps?|points?)\b", shown)
 
 
-LONG = (
-    "pictures",
-    "spaces",
-    "singularities",
-    "workspace",
-    "reach",
-    "howto_loops",
-    "ik_all",
-    "viewer",
-)
-"""Pages whose code takes seconds."""
-PRINTED = [
-    pytest.param(p, marks=pytest.mark.slow if p.stem in LONG else ())
-    for p in PAGES
-    if any(map(is_code, blocks(p))) and p.stem not in SAID
-]
-"""Pages whose code runs; that of the lecture's pages runs in test_lecture, where what it prints is
-read, too."""
+RUN = some([p.relative_to(ROOT).as_posix() for p in docs.list_pages()], 4)
+"""Pages whose code runs."""
 
 
-@pytest.mark.parametrize("path", PRINTED, ids=lambda p: p.stem)
-def test_code_runs(path, tmp_path, monkeypatch):
-    code = [b for b in blocks(path) if is_code(b)]
-    monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {"__name__": "__main__"}
-    with restored():
-        for block in code:
-            run(path, block, names)
+@pytest.mark.parametrize("name", RUN)
+def test_pages_show_what_comes_out(name):
+    """Outputs and pictures below the code of a page are those of the code."""
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("sympy")
+    try:
+        assert docs.find_differences(ROOT / name) == [], f"run  python tools/docs.py --write {name}"
+    except docs.SkippedPageError as error:
+        pytest.skip(f"{error} is not installed")
+
+
+def test_pictures_of_pages_are_small_and_shown():
+    found = sorted(docs.PICTURES.iterdir())
+    assert {p.name for p in found} == docs.list_shown_pictures()
+    assert all(p.stat().st_size <= docs.LARGEST for p in found)
+    assert sum(p.stat().st_size for p in DOCS.glob("_static/**/*") if p.is_file()) < 8e6
 
 
 def test_the_readme_is_short_and_its_pictures_are_small():
@@ -159,21 +91,6 @@ def test_the_readme_is_short_and_its_pictures_are_small():
     pictures = re.findall(r'src="([^"]+)"', page)
     assert len(pictures) == 3
     assert all((ROOT / picture).stat().st_size < 1e6 for picture in pictures)
-
-
-def test_output_in_the_readme(tmp_path, monkeypatch):
-    """Each Python block of the README that is followed by a text block prints that text."""
-    monkeypatch.chdir(tmp_path)
-    found = blocks(ROOT / "README.md")
-    names = {"__name__": "__main__"}
-    compared = 0
-    for block, after in itertools.pairwise([*found, Block("", "", 0)]):
-        if is_code(block):
-            printed = run(ROOT / "README.md", block, names)
-            if after.kind == "text":
-                compared += 1
-                assert same_output(printed, after.text), f"line {after.line}: it prints\n{printed}"
-    assert compared
 
 
 def test_first_command_of_the_readme(tmp_path, monkeypatch):
@@ -212,9 +129,7 @@ def test_links_lead_somewhere(path):
     for target in (t for t in links if "://" not in t and not t.startswith("mailto:")):
         file, _, heading = target.partition("#")
         to = (path.parent / file).resolve() if file else path
-        # when the docs are built
-        drawn = to.parent.name == "gallery" and to.stem in library.list_models()
-        assert to.exists() or drawn, f"{path.name} links to {target}"
+        assert to.exists(), f"{path.name} links to {target}"
         if heading:
             assert heading in headings(to), f"{path.name} links to {target}"
 

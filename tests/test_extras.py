@@ -4,11 +4,7 @@ it is for.
 
 from __future__ import annotations
 
-import ast
-import json
 import os
-import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -19,7 +15,6 @@ import pytest
 from copies import once
 from test_install import done, environment, folder  # noqa: F401  (a fixture)
 
-from kempe import library
 from kempe.errors import MissingExtraError
 
 ROOT = Path(__file__).parents[1]
@@ -86,11 +81,9 @@ assert abs(x - sum(robot.structure.parameters[n] for n in ("l1", "l2"))) < 1e-12
 print("used")
 """
 DOCUMENTATION = """
-import importlib, json, sys
-for name in json.loads(sys.argv[1]):
-    importlib.import_module(name)
+import sys
 from sphinx.cmd.build import main
-assert main(["-q", "-b", "html", "docs", "html"]) == 0
+assert main(["-q", "-W", "-d", "doctrees", sys.argv[1], "html"]) == 0
 print("used")
 """
 CODE = {
@@ -110,8 +103,6 @@ ELSEWHERE = {
     "bench": "it installs other libraries, gigabytes of them, and nothing of Kempe needs it",
 }
 """The extras that are not installed here, and why."""
-PAGE = "workspace"
-"""The page of the documentation that is built: it computes, draws and saves."""
 
 STL = """solid b
 facet normal 0 0 1
@@ -169,41 +160,6 @@ def with_meshes(to: Path) -> Path:
     path = to / "robot.urdf"
     path.write_text(f'<robot name="r">{"".join(links + joints)}</robot>')
     return path
-
-
-def imported_by_the_documentation() -> list[str]:
-    """The packages that docs/conf.py, the scripts of pages and the code cells of pages import, and
-    the extensions.
-    """
-    texts = [path.read_text(encoding="utf-8") for path in DOCS.glob("*.py")]
-    for page in DOCS.glob("*.md"):
-        text = page.read_text(encoding="utf-8")
-        for cell in re.findall(
-            r"^```\{code-cell\}[^\n]*\n(.*?)^```", text, re.DOTALL | re.MULTILINE
-        ):
-            texts.append(re.sub(r"^(:.*|---\n(.|\n)*?---)$", "", cell, flags=re.MULTILINE))
-    found = set()
-    for text in texts:
-        for node in ast.walk(ast.parse(text)):
-            if isinstance(node, ast.Import):
-                found |= {alias.name for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and node.module:
-                found.add(node.module)
-    found -= {path.stem for path in DOCS.glob("*.py")} | {"oracles", "reference"}
-    return sorted(found | {"myst_nb", "furo", "sphinx.ext.autodoc"})
-
-
-def one_page(to: Path) -> None:
-    """The documentation with one page of its own, and with empty pictures in the gallery, which
-    draws for long.
-    """
-    docs = to / "docs"
-    (docs / "_static" / "gallery").mkdir(parents=True)
-    for name in ("conf.py", "gallery_page.py", "glossary.md", f"{PAGE}.md", "_static/kempe.css"):
-        shutil.copy(DOCS / name, docs / name)
-    for name in library.list_models():
-        (docs / "_static" / "gallery" / f"{name}.png").touch()
-    (docs / "index.md").write_text(f"# Kempe\n\n```{{toctree}}\n{PAGE}\nglossary\n```\n")
 
 
 def installed(to: Path, what: str) -> subprocess.CompletedProcess:
@@ -296,8 +252,7 @@ def test_each_extra_alone(extra, registry, wheel, tmp_path):
     elif extra == "xacro":
         (tmp_path / "arm.urdf.xacro").write_text(ARM)
     elif extra == "docs":
-        one_page(tmp_path)
-        arguments = [json.dumps(imported_by_the_documentation())]
+        arguments = [str(DOCS)]
     env = environment() | ({"KEMPE_KERNELS": "jit"} if extra == "jit" else {})
     command = [str(python_of(tmp_path / "env")), "-c", CODE[extra], *arguments]
     used = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)

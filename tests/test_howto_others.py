@@ -23,7 +23,7 @@ def page(heading: str, **names: Any) -> dict[str, Any]:
     """The names of the page after its first cell and the code of one section."""
     sections = PAGE.read_text("utf-8").split("\n## ")
     section = next(s for s in sections if s.startswith(heading))
-    code = re.compile(r"^```\{code-\w+\} python\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+    code = re.compile(r"^```py(?:thon)?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
     for cell in (*code.findall(sections[0]), *code.findall(section)):
         exec(compile(cell, "howto_others.md", "exec"), names)
     return names

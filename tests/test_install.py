@@ -17,7 +17,7 @@ from pathlib import Path
 
 import pytest
 from copies import of_all_processes, once
-from test_docs import README_COMMAND, blocks, is_code, same_output
+from test_docs import README_COMMAND, blocks, same_output
 
 from kempe.cli import app
 
@@ -150,11 +150,10 @@ def floors(folder, clone) -> Path:
 
 def readme_prints(python: Path, cwd: Path) -> None:
     """Each piece of Python in the README runs, after those before it, and prints what is shown."""
-    code = [(b, after) for b, after in itertools.pairwise([*FOUND, FOUND[0]]) if is_code(b)]
-    printed = json.loads(done([python, "-c", RUN], cwd, json.dumps([b.text for b, _ in code])))
-    for (block, after), text in zip(code, printed, strict=True):
-        if after.kind == "text":
-            assert same_output(text, after.text), f"line {block.line}: it prints\n{text}"
+    code = [b for b in FOUND if b.kind == "python"]
+    printed = json.loads(done([python, "-c", RUN], cwd, json.dumps([b.text for b in code])))
+    for block, text in zip(code, printed, strict=True):
+        assert same_output(text, block.shown), f"line {block.line}: it prints\n{text}"
 
 
 @slow

@@ -16,7 +16,12 @@ from kempe.errors import InputError, format_value
 
 HERE = Path(__file__).parent
 
-CELL = re.compile(r"^```\{code-cell\} python\n(.*?)^```\n", re.DOTALL | re.MULTILINE)
+CELL = re.compile(
+    r"^```python\n(.*?)^```\n(?:\n^```text\n.*?^```\n)?((?:\n^!\[[^\n]*\n)*)",
+    re.DOTALL | re.MULTILINE,
+)
+"""A block of code with what the page shows below it: its output and its pictures."""
+
 WIDTH = 100
 """Columns of the text."""
 
@@ -60,11 +65,7 @@ class Cell:
     """A cell of code of the page; with `picture` its last line draws."""
 
     code: str
-
-    @property
-    def picture(self) -> bool:
-        """Whether the last line of the cell draws a picture: it ends with a semicolon."""
-        return self.code.rstrip().endswith(";")
+    picture: bool = False
 
 
 @dataclass(frozen=True)
@@ -86,12 +87,14 @@ def read_page() -> str:
 def read_sections() -> tuple[Section, ...]:
     """Read the sections in the lecture's order. Each one runs without the others."""
     head, *rest = re.split(r"^## ", read_page(), flags=re.MULTILINE)
-    first = [Cell(code) for code in CELL.findall(head)]
+    first = [Cell(code, bool(pictures)) for code, pictures in CELL.findall(head)]
     out: list[Section] = []
     for number, text in enumerate(rest, 1):
         title, _, body = text.partition("\n")
         pieces = CELL.split(body)
-        parts = [Cell(x) if i % 2 else format_plain_text(x) for i, x in enumerate(pieces)]
+        parts: list[str | Cell] = [format_plain_text(pieces[0])]
+        for code, pictures, after in zip(pieces[1::3], pieces[2::3], pieces[3::3], strict=True):
+            parts += [Cell(code, bool(pictures)), format_plain_text(after)]
         out.append(Section(number, title.strip(), (*first, *(x for x in parts if x))))
     return tuple(out)
 
