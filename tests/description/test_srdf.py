@@ -258,7 +258,43 @@ def test_values_of_a_free_base():
         (
             'link1="r2"',
             'link1="r3"',
-            "pairs of 1 link that the robot does not have are not used: 'r3'",
+            "<disable_collisions>: link 'r3' is left out: the robot does not have it; there are",
+        ),
+        (
+            'tip_link="tool"',
+            'tip_link="tol"',
+            ":3: group 'left': link 'tol' is left out: the robot does not have it; did you mean 'tool'",
+        ),
+        (
+            '<joint name="ra"/>',
+            '<joint name="rx"/><joint name="ry"/>',
+            ":4: group 'right': 2 joints that the robot does not have are left out: 'rx', 'ry'",
+        ),
+        (
+            '<group name="right"/>',
+            '<group name="rigt"/>',
+            ":2: group 'both': group 'rigt' is left out: the robot does not have it; did you mean",
+        ),
+        ('group="both"', 'group="bth"', ":8: group_state 'home': group 'bth' is left out"),
+        (
+            'name="la" value="0.5"',
+            'name="lx" value="0.5"',
+            ":8: posture 'both/home': joint 'lx' is left out: the robot does not have it",
+        ),
+        (
+            '<joint name="fa" value="0.2"/><joint name="fb" value="0.4"/>',
+            '<joint name="x" value="0.2"/>',
+            ":10: posture 'fingers/open': it is left out: the robot has none of its coordinates",
+        ),
+        (
+            'parent_link="tool"',
+            'parent_link="tol"',
+            ":12: end_effector 'gripper': link 'tol' is left out",
+        ),
+        (
+            '<passive_joint name="rb"/>',
+            '<passive_joint name="rx"/>',
+            ":13: passive_joint: joint 'rx'",
         ),
         ('<joint name="lb"/><joint name="rb"/>', "", "group 'ends': it holds no joint"),
     ],
@@ -272,20 +308,13 @@ def test_what_is_noted(old: str, new: str, note: str):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ('tip_link="tool"', 'tip_link="tol"', ":3: group 'left': there is no link 'tol'; did you mean"),
         (' tip_link="tool"', "", ":3: group 'left': it has no tip_link; write tip_link="),
-        ('<joint name="ra"/>', '<joint name="rx"/>', ":4: group 'right': there is no joint 'rx'"),
-        ('<group name="right"/>', '<group name="rigt"/>', ":2: group 'both': there is no group 'rigt'"),
         ('<link name="r2"/>', '<group name="both"/>', "it holds itself: 'both' holds 'right' holds"),
         ('<group name="far">', '<group name="left">', ":7: group 'left': there is another group"),
         ('<group name="far">', "<group>", ":7: <group>: it has no name"),
-        ('group="both"', 'group="bth"', ":8: group_state 'home': there is no group 'bth'"),
-        ('name="la" value="0.5"', 'name="lx" value="0.5"', "posture 'both/home': there is no joint 'lx'"),
         ('name="la" value="0.5"', 'name="la" value="0.5 1"', "joint value is '0.5 1': 2 numbers"),
         ('name="la" value="0.5"', 'name="la"', "joint 'la' has no value"),
         ('name="open" group="fingers"', 'name="home" group="both"', "another posture 'both/home'"),
-        ('parent_link="tool"', 'parent_link="tol"', "end_effector 'gripper': there is no link 'tol'"),
-        ('<passive_joint name="rb"/>', '<passive_joint name="rx"/>', "no joint 'rx'"),
         ('<passive_joint name="rb"/>', '<grup name="x"/>', "unknown element 'grup'; did you mean"),
         ('link1="r2" link2="l2"', 'link1="r2" link2="r2"', "both links are 'r2'"),
         (' link2="l2"', "", "<disable_collisions>: it has no link2"),
@@ -307,10 +336,34 @@ def test_what_is_refused(old: str, new: str, words: str, tmp_path: Path):
 
 
 def test_all_problems_are_named_at_once():
-    text = SRDF.replace('name="ra"', 'name="rx"').replace('parent_link="tool"', 'parent_link="x"')
+    text = SRDF.replace(' tip_link="tool"', "").replace('name="la" value="0.5"', 'name="la"')
     with pytest.raises(DescriptionError) as caught:
-        read_mechanism(URDF, srdf=text.replace('link name="r2"', 'link name="r3"'))
-    assert [p.where.line for p in caught.value.problems if p.where] == [4, 4, 12]
+        read_mechanism(URDF, srdf=text.replace('parent_link="tool"', ""))
+    assert [p.where.line for p in caught.value.problems if p.where] == [3, 8, 12]
+
+
+def test_a_robot_that_lacks_parts_gets_what_fits():
+    """One SRDF for several variants: all that names parts of this one is kept, the rest is noted."""
+    only = URDF.replace("ra", "other").replace('"r2"', '"other2"')
+    m = read_mechanism(only, srdf=SRDF)
+    whole = read_mechanism(URDF, srdf=SRDF)
+    assert m.groups["left"] == whole.groups["left"] and "ra" not in m.groups["both"]
+    assert m.postures == whole.postures and m.joints["rb"].actuated is False
+    assert [*m.ignored_pairs] == [p for p in whole.ignored_pairs if "r2" not in p]
+    said = "\n".join(m.notes)
+    assert "group 'right': joint 'ra'" in said and "group 'right': link 'r2'" in said
+    assert "<disable_collisions>: link 'r2'" in said and whole.notes == []
+
+
+def test_an_srdf_of_which_nothing_fits_is_refused():
+    other = robot(
+        joint("x", TURNS, "continuous", "y", "z"), links='<link name="y"/><link name="z"/>'
+    )
+    with pytest.raises(DescriptionError) as caught:
+        kempe.load(other, srdf=SRDF)
+    (problem,) = caught.value.problems
+    assert "nor any other joint or link that the SRDF names" in problem.message
+    assert problem.allowed == "give the SRDF of the robot 'r'"
 
 
 def test_an_srdf_alone_and_with_other_formats(tmp_path: Path):
@@ -346,6 +399,8 @@ REAL = {
     "go1_description/urdf/go1.urdf": "go1_description/srdf/go1.srdf",
     "talos_data/robots/talos_reduced.urdf": "talos_data/srdf/talos.srdf",
     "icub_description/robots/icub.urdf": "icub_description/srdf/icub.srdf",
+    "romeo_description/urdf/romeo.urdf": "romeo_description/srdf/romeo.srdf",
+    "solo_description/robots/solo.urdf": "solo_description/srdf/solo.srdf",
 }
 
 

@@ -13,6 +13,7 @@ from kempe.description.source import Findings, find_intended_name, make_error, s
 from kempe.description.urdf_elements import read_numbers
 from kempe.description.xacro import XACRO_ADVICE
 from kempe.description.xml import XmlElement, parse_xml
+from kempe.errors import Where
 from kempe.words import format_count, join_first_words
 
 ELEMENTS = (
@@ -44,7 +45,9 @@ IN_GROUP = ("joint", "link", "chain", "group")
 MOST = 1_000_000
 """Joints in all groups together, and pairs of links, at most."""
 FEW = 5
-"""Names that a note lists."""
+"""Names that a note lists where all of them can be read in another place."""
+MANY = 50
+"""Names that a note lists of joints, links and groups that the robot does not have."""
 CLOSE = 1e-6
 """Difference from the value of a coordinate that is followed, below which rounding explains it."""
 
@@ -89,11 +92,18 @@ def read_srdf(text: str | bytes, source: str) -> Srdf:
 
 
 class Srdf:
-    """Content of an SRDF: the motion of the robot's base, and additions to its mechanism."""
+    """Content of an SRDF: the motion of the robot's base, and additions to its mechanism.
+
+    Many an SRDF is written for several variants of a robot. Names that the given one does not have
+    are noted, and what they stand in is left out; a file of which no name fits is refused.
+    """
 
     def __init__(self, root: XmlElement, findings: Findings):
         self.root = root
         self.findings = findings
+        self.has_known_name = False
+        self.absent: dict[tuple[str, str], dict[str, Where]] = {}
+        """Names that the robot does not have, with their places, by subject and kind."""
 
     # ---- the base
 
@@ -155,6 +165,7 @@ class Srdf:
         for element in self.root.find_children("end_effector"):
             self._add_end_effector(mechanism, element)
         self._ignore_pairs(mechanism)
+        self._note_absent_names(mechanism)
         self.findings.raise_problems()
         mechanism.notes += self.findings.notes
 
@@ -255,20 +266,25 @@ class Srdf:
         for element in self.root.find_children("group_state"):
             name = self._read_name(element, "group_state")
             subject = f"group_state {name!r}"
-            group = None
-            if "group" in element.attributes:
-                group = self._read_known_name(element, "group", mechanism.groups, "group", subject)
-            else:
+            group = element.attributes.get("group")
+            if group is None:
                 said = "it names no group: the posture is called as it is"
                 self.findings.add_note(said, subject, element.location)
-            if name is None or (group is None and "group" in element.attributes):
+            else:
+                self._read_known_name(element, "group", mechanism.groups, "group", subject)
+            if name is None:
                 continue
-            posture = name if group is None else f"{group}/{name}"
+            posture = f"{group}/{name}" if group else name
             if posture in mechanism.postures:
                 said = f"there is another posture {posture!r}"
                 self.findings.add_problem(said, subject, element.location, "names must be unique")
                 continue
-            mechanism.posture(posture, self._read_state(mechanism, element, f"posture {posture!r}"))
+            values = self._read_state(mechanism, element, f"posture {posture!r}")
+            if values or not element.find_children("joint"):
+                mechanism.posture(posture, values)
+            else:
+                said = "it is left out: the robot has none of its coordinates"
+                self.findings.add_note(said, f"posture {posture!r}", element.location)
 
     def _read_state(
         self, mechanism: Mechanism, element: XmlElement, subject: str
@@ -374,15 +390,18 @@ class Srdf:
             return
         every = ((a, b) for a in without for b in mechanism.bodies if a != b)
         ignored = {frozenset(pair): "Default" for pair in every}
-        absent: dict[str, XmlElement] = {}
         for tag in ("enable_collisions", "disable_collisions"):
             for element in self.root.find_children(tag):
                 ends = self._read_attributes(element, f"<{tag}>", "link1", "link2")
                 if ends is None:
                     continue
-                if lost := [link for link in ends if link not in mechanism.bodies]:
-                    absent.setdefault(lost[0], element)
-                elif ends[0] == ends[1]:
+                known = [
+                    self._read_known_name(element, key, mechanism.bodies, "link", f"<{tag}>")
+                    for key in ("link1", "link2")
+                ]
+                if None in known:
+                    continue
+                if ends[0] == ends[1]:
                     said = f"both links are {ends[0]!r}"
                     self.findings.add_problem(
                         said, f"<{tag}>", element.location, "a pair has two links"
@@ -393,15 +412,6 @@ class Srdf:
                     ignored[frozenset(ends)] = element.attributes.get("reason", "")
         for pair, reason in ignored.items():
             mechanism.ignore_pair(*pair, reason=reason)
-        if absent:
-            name, element = next(iter(absent.items()))
-            names = join_first_words([*map(repr, absent)], FEW)
-            self.findings.add_note(
-                f"pairs of {format_count(len(absent), 'link')} that the robot does not have are "
-                f"not used: {names}{self.findings.suggest_name(name, mechanism.bodies)}",
-                f"<{element.tag}>",
-                element.location,
-            )
 
     # ---- names
 
@@ -440,14 +450,42 @@ class Srdf:
     ) -> str | None:
         """Return the name in an attribute; None after recording that nothing has this name."""
         given = self._read_attributes(element, subject, key)
-        if given is None or given[0] in known:
-            return given[0] if given else None
-        self.findings.add_problem(
-            f"there is no {kind} {shorten_text(given[0])}{self.findings.suggest_name(given[0], known)}",
-            subject,
-            element.locate_attribute(key),
-        )
+        if given is None:
+            return None
+        if given[0] in known:
+            self.has_known_name |= kind != "group"
+            return given[0]
+        where = element.locate_attribute(key)
+        self.absent.setdefault((subject, kind), {}).setdefault(given[0], where)
         return None
+
+    def _note_absent_names(self, mechanism: Mechanism) -> None:
+        """Note which names the robot does not have; refuse the file where it has none."""
+        tables = {
+            "joint": mechanism.joints,
+            "link": mechanism.bodies,
+            "group": mechanism.groups,
+        }
+        needed = [(*key, names) for key, names in self.absent.items() if key[1] != "group"]
+        if needed and not self.has_known_name:
+            subject, kind, names = needed[0]
+            name, where = next(iter(names.items()))
+            self.findings.add_problem(
+                f"there is no {kind} {shorten_text(name)}, nor any other joint or link that the "
+                f"SRDF names{self.findings.suggest_name(name, tables[kind])}",
+                subject,
+                where,
+                f"give the SRDF of the robot {mechanism.name!r}",
+            )
+        for (subject, kind), names in self.absent.items():
+            name, where = next(iter(names.items()))
+            if len(names) > 1:
+                listed = join_first_words([*map(shorten_text, names)], MANY)
+                said = f"{len(names)} {kind}s that the robot does not have are left out: {listed}"
+            else:
+                hint = self.findings.suggest_name(name, tables[kind])
+                said = f"{kind} {shorten_text(name)} is left out: the robot does not have it{hint}"
+            self.findings.add_note(said, subject, where)
 
 
 def _evaluate_coupling(coupling: Coupling, values: dict[str, float]) -> float | None:
