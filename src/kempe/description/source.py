@@ -95,7 +95,7 @@ class Source:
     @cached_property
     def _line_starts(self) -> list[int]:
         """Indices in the text at which the lines start."""
-        return [0, *(m.end() for m in _LINE_END.finditer(self.text))]
+        return [0, *[m.end() for m in _LINE_END.finditer(self.text)]]
 
     @cached_property
     def lines(self) -> list[str]:
@@ -104,7 +104,11 @@ class Source:
 
     def locate_line(self, line: int, column: int = 1) -> Where:
         """Return the place in the text at `line` and `column`, both counted from 1."""
-        text = self.lines[line - 1] if 0 < line <= len(self.lines) else ""
+        starts = self._line_starts
+        text = ""
+        if 0 < line <= len(starts):
+            end = starts[line] if line < len(starts) else len(self.text)
+            text = self.text[starts[line - 1] : end].rstrip("\r\n")
         return Where(self.name, line, column, text)
 
     def compute_offset(self, line: int, column: int) -> int:
@@ -320,6 +324,7 @@ _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _PLAIN = re.compile(r"[-+.0-9eE \t\r\n]+")
 """Text in which `float` reads what `_NUMBER` matches, and nothing else."""
 _BLANKS = re.compile(r"[ \t\r\n]+")
+_SPECIAL = re.compile(r"[+-]?(inf|infinity|nan)", re.IGNORECASE)
 LONG = 200
 """Characters of a text of numbers from which on it is not kept for the next one."""
 
@@ -372,7 +377,7 @@ def describe_allowed_numbers(count: int) -> str:
 
 def parse_special_number(piece: str) -> float | None:
     """Return infinity or NaN where the text spells it, in any letter case; None for other texts."""
-    match = re.fullmatch(r"([+-]?)(inf|infinity|nan)", piece, re.IGNORECASE)
+    match = _SPECIAL.fullmatch(piece)
     return float(match[0]) if match else None
 
 

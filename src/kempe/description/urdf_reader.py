@@ -9,6 +9,7 @@ import re
 from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 from kempe.description.formats import describe_root_fault, join_words
@@ -185,7 +186,7 @@ class _Urdf:
     of_drake: set[XmlElement] = field(default_factory=set[XmlElement])
     """Joints that were written as <drake:joint>, which become <joint>."""
 
-    @property
+    @cached_property
     def quaternions(self) -> bool:
         """Whether the version of the file has `quat_xyzw`."""
         return has_quaternions(self.robot)
