@@ -20,11 +20,11 @@ from kempe.forward.fk import fk, jacobian
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import TimeLimit
-from kempe.numerics.curves import ACROSS, BEND, Curve, Node, find_next_node, make_node, walk_curve
+from kempe.numerics.curves import ACROSS, BEND, BLUNT, IDEAL_BEND, LEAST_STEP
 from kempe.numerics.intervals import SAME_ANGLE, unite_intervals
-from kempe.numerics.newton import GaussNewtonEnd, run_many_gauss_newton
-from kempe.numerics.rank import Spectrum
-from kempe.numerics.roots import find_sign_change
+from kempe.numerics.newton import run_many_gauss_newton
+from kempe.numerics.rank import TINY, Spectrum
+from kempe.numerics.roots import find_sign_change, find_sign_changes
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 LONGEST = 0.15
 MOST_STEPS = 4000
 """The longest step along a curve [rad, lengths of the chain], and how many a curve may have."""
+
+LANDINGS = 20
+"""Bisections of a step that find where it passes a value of the parameter; a corrector follows."""
 
 CONVERGED = 1e-13
 HELD = 1e-11
@@ -46,7 +49,7 @@ TWO_PI = 2.0 * math.pi
 
 
 @dataclass(frozen=True, eq=False)
-class ChainMotion(Curve):
+class ChainMotion:
     """A chain that keeps its task at a target, with one freedom: joints `free` of the chain move,
     that at `p` of these is the parameter, the others stay as in `base` (nq,). x are the free
     coordinates, slides in lengths of the chain.
@@ -138,22 +141,6 @@ class ChainMotion(Curve):
             [self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2
         )
         return self.rows[:, None] * J
-
-    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
-        """Compute minus the missing twist at x (nf,), and its derivatives, with zero rows below."""
-        return np.append(
-            -self.compute_missing_twist(self.make_configurations(x)), np.zeros(max(self.n - 6, 0))
-        ), self.compute_jacobian(x)
-
-    def compute_jacobian(self, x: Array) -> Array:
-        """Compute the derivatives of `evaluate_equations` alone."""
-        return np.append(
-            self.compute_twist_jacobian(x), np.zeros((max(self.n - 6, 0), self.n)), axis=0
-        )
-
-    def compute_tolerance(self, x: Array) -> float:
-        """Compute the largest error of a point of the curve."""
-        return HELD
 
     def correct_points(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
         """Find points (m, nf) of the curve in planes through x (m, nf), and which exist (m,).
@@ -355,99 +342,161 @@ def interpolate_hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) ->
 # manipulators: characterization of the self-motion manifolds", ICRA 1989).
 
 
-def follow_curve(
-    motion: ChainMotion, start: Array, tangent: Array, between: tuple[float, float]
-) -> tuple[list[Array], list[Array]]:
-    """Follow the curve until the parameter leaves an interval: nodes and tangents.
-
-    The last node is on the end of the interval.
-
-    Where the curve has no tangent, or is too long, the last node is inside.
+def compute_tangents(motion: ChainMotion, x: Array, toward: Array) -> Array:
+    """Compute unit tangents (m, nf) of curves at points x (m, nf), the null vectors nearest to
+    `toward` (m, nf).
     """
-    nodes = [make_node(motion, start, tangent)]
-    ends = list[Node]()
+    spectrum = Spectrum(motion.compute_twist_jacobian(x))
+    Vt = spectrum.right
+    null = np.ones(Vt.shape[:2], dtype=bool)
+    many = spectrum.values.shape[1]
+    null[:, :many] = spectrum.values <= BLUNT * spectrum.largest[:, None]
+    null[:, -1] = True
+    along = np.einsum("mk,mkn->mn", null * np.einsum("mkn,mn->mk", Vt, toward), Vt)
+    size = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.where(size > 0.0, along / np.maximum(size, TINY), Vt[:, -1])
 
-    def take_step(a: Node, h: float) -> list[Node] | None:
-        b = find_next_node(motion, a, h)
-        if b is None or between[0] <= b.x[motion.p] <= between[1]:
-            return None if b is None else [b]
-        end = _find_landing(motion, a, b, between[0] if b.x[motion.p] < between[0] else between[1])
-        ends[:] = [] if end is None else [make_node(motion, end.x, a.t, end.J)]
-        return ends or None
 
-    for b in walk_curve(nodes[0], take_step, LONGEST, LONGEST):
-        nodes.append(b)
-        if ends or len(nodes) == MOST_STEPS:
+def follow_curves(
+    motion: ChainMotion, x: Array, t: Array, low: Array, high: Array
+) -> list[tuple[Array, Array]]:
+    """Follow curves from points x (m, nf) along tangents t until the parameter leaves intervals.
+
+    Returns nodes and tangents of each. The last node is on the end `low` or `high` (m,) of the
+    interval. Where the curve has no tangent, or is too long, the last node is inside. All curves
+    are followed side by side, each with steps of its own.
+    """
+    nodes = [[point] for point in x]
+    tangents = [[tangent] for tangent in t]
+    x = x.copy()
+    t = t.copy()
+    h = np.full(len(x), LONGEST)
+    left = np.arange(len(x))
+    for _ in range(MOST_STEPS):
+        if not len(left):
             break
-    return [a.x for a in nodes], [a.t for a in nodes]
+        check_for_stop()
+        a = x[left]
+        u = t[left]
+        step = h[left, None]
+        guess = a + step * u
+        b, good = motion.correct_points(guess, u)
+        good &= np.linalg.norm(b - guess, axis=1) <= ACROSS * step[:, 0]
+        b = np.where(good[:, None], b, a)
+        v = compute_tangents(motion, b, np.where(good[:, None], b - a, u))
+        bend = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(v - u, axis=1)))
+        good &= bend <= BEND
+        value = b[:, motion.p]
+        out = good & ((value < low[left]) | (value > high[left]))
+        if out.any():
+            k = np.flatnonzero(out)
+            ends = np.where(value[k] < low[left[k]], low[left[k]], high[left[k]])
+            b[k], good[k] = _find_landings(motion, a[k], u[k], b[k], v[k], ends)
+            done = k[good[k]]
+            if len(done):
+                v[done] = compute_tangents(motion, b[done], u[done])
+        for i in np.flatnonzero(good):
+            nodes[left[i]].append(b[i])
+            tangents[left[i]].append(v[i])
+        x[left[good]] = b[good]
+        t[left[good]] = v[good]
+        longer = np.clip(IDEAL_BEND / np.maximum(bend, 1e-9), 0.5, 1.5)
+        h[left] = np.where(good, np.minimum(LONGEST, h[left] * longer), 0.5 * h[left])
+        left = left[~(out & good) & (h[left] >= LEAST_STEP)]
+    return [(np.array(n), np.array(u)) for n, u in zip(nodes, tangents, strict=True)]
 
 
-def _find_landing(motion: ChainMotion, a: Node, b: Node, value: float) -> GaussNewtonEnd | None:
-    """Find the point in a step where the parameter has a value; None if there is none."""
+def _find_landings(
+    motion: ChainMotion, a: Array, t: Array, b: Array, u: Array, values: Array
+) -> tuple[Array, np.ndarray]:
+    """Find points (m, nf) in steps from a to b where the parameter has values (m,), and which are
+    found (m,).
+    """
     p = motion.p
-    ends = a.x[None], a.t[None], b.x[None], b.t[None]
-    s = find_sign_change(
-        lambda s: float(interpolate_hermite(*ends, np.array([s]))[0, p] - value), 1e-9, 1.0
-    )
-    if s is None:
-        return None
-    guess = interpolate_hermite(*ends, np.array([s]))[0]
-    guess[p] = value
-    end = motion.correct_point(guess, np.eye(motion.n)[p])
-    near = end is not None and np.linalg.norm(end.x - guess) <= ACROSS * np.linalg.norm(b.x - a.x)
-    return end if near else None
+    low = np.full(len(a), 1e-9)
+    high = np.ones(len(a))
+    first = interpolate_hermite(a, t, b, u, low)[:, p] < values
+    there = first != (b[:, p] < values)
+    for _ in range(LANDINGS):
+        s = 0.5 * (low + high)
+        before = (interpolate_hermite(a, t, b, u, s)[:, p] < values) == first
+        low = np.where(before, s, low)
+        high = np.where(before, high, s)
+    guess = interpolate_hermite(a, t, b, u, 0.5 * (low + high))
+    guess[:, p] = values
+    across = np.zeros_like(guess)
+    across[:, p] = 1.0
+    x, good = motion.correct_points(guess, across)
+    near = np.linalg.norm(x - guess, axis=1) <= ACROSS * np.linalg.norm(b - a, axis=1)
+    return x, there & good & near
 
 
 def split_at_folds(
-    motion: ChainMotion, xs: list[Array], ts: list[Array]
-) -> list[tuple[Array, Array]]:
-    """Split a path at its folds: nodes and tangents of the parts, in order."""
-    nodes = [xs[0]]
-    tangents = [ts[0]]
-    ends = [0]
-    for k in range(len(xs) - 1):
-        for x, t in _iterate_folds(motion, xs[k], ts[k], xs[k + 1], ts[k + 1]):
-            ends.append(len(nodes))
-            nodes.append(x)
-            tangents.append(t)
-        nodes.append(xs[k + 1])
-        tangents.append(ts[k + 1])
-    ends.append(len(nodes) - 1)
-    spans = zip(ends[:-1], ends[1:], strict=True)
-    return [(np.array(nodes[a : b + 1]), np.array(tangents[a : b + 1])) for a, b in spans]
+    motion: ChainMotion, curves: list[tuple[Array, Array]]
+) -> list[list[tuple[Array, Array]]]:
+    """Split curves (nodes and tangents) at their folds: the parts of each, in order."""
+    steps = [(c, k) for c, (x, _) in enumerate(curves) for k in range(len(x) - 1)]
+    folds: list[list[tuple[int, Array, Array]]] = [[] for _ in curves]
+    if steps:
+        first, last = (
+            np.concatenate([np.stack(curve)[:, part] for curve in curves], axis=1)
+            for part in (slice(-1), slice(1, None))
+        )
+        for i, z, u in _find_folds(motion, *first, *last):
+            c, k = steps[i]
+            folds[c].append((k, z, u))
+    out: list[list[tuple[Array, Array]]] = []
+    for (x, t), here in zip(curves, folds, strict=True):
+        cuts = [0, *(k + 1 + i for i, (k, _, _) in enumerate(here)), len(x) - 1 + len(here)]
+        places = [k + 1 for k, _, _ in here]
+        if here:
+            x = np.insert(x, places, [z for _, z, _ in here], axis=0)
+            t = np.insert(t, places, [u for _, _, u in here], axis=0)
+        out.append([(x[i : j + 1], t[i : j + 1]) for i, j in zip(cuts[:-1], cuts[1:], strict=True)])
+    return out
 
 
-def _iterate_folds(
+def _find_folds(
     motion: ChainMotion, x: Array, t: Array, y: Array, u: Array
-) -> Iterator[tuple[Array, Array]]:
-    """Yield points and tangents in a step where the parameter turns back."""
+) -> list[tuple[int, Array, Array]]:
+    """Find points and tangents in steps from x to y (m, nf) where the parameter turns back.
+
+    Returns them with the number of their step, in order.
+    """
     p = motion.p
-    piece = CurvePiece(motion, np.array([x, y]), np.array([t, u]))
-    at_0 = np.array([0])
-
-    def compute_slope(s: float) -> float:
-        return float(make_node(motion, piece.compute_points(at_0, np.array([s]))[0], t).t[p])
-
-    size = float(np.linalg.norm(y - x))
     s = CHECKS
-    d = (y - x)[p]
-    rates = 6.0 * s * (1.0 - s) * d + size * (
-        (1.0 - s) * (1.0 - 3.0 * s) * t[p] - s * (2.0 - 3.0 * s) * u[p]
+    size = np.linalg.norm(y - x, axis=1)[:, None]
+    rates = 6.0 * s * (1.0 - s) * (y - x)[:, [p]] + size * (
+        (1.0 - s) * (1.0 - 3.0 * s) * t[:, [p]] - s * (2.0 - 3.0 * s) * u[:, [p]]
     )
-    rates[0] = t[p]
-    rates[-1] = u[p]
-    if not np.any((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
-        return
+    rates[:, 0] = t[:, p]
+    rates[:, -1] = u[:, p]
+    some = np.flatnonzero(((rates[:, 1:] > 0.0) != (rates[:, :-1] > 0.0)).any(axis=1))
+    if not len(some):
+        return []
+
+    def compute_nodes(k: np.ndarray, s: Array) -> tuple[Array, Array]:
+        """Compute points and tangents (m, nf) at fractions s (m,) of steps k (m,)."""
+        across = (y - x)[k] / size[k]
+        guess = interpolate_hermite(x[k], t[k], y[k], u[k], s)
+        z = motion.correct_points(guess, across)[0]
+        return z, compute_tangents(motion, z, t[k])
+
     # the cubic says that there is one; the curve itself says where
-    tangents = [
-        make_node(motion, z, t).t for z in piece.compute_points(np.zeros(len(s), dtype=int), s)
-    ]
-    rates = np.array([t[p], *(v[p] for v in tangents[1:-1]), u[p]])
-    for i in np.flatnonzero((rates[1:] > 0.0) != (rates[:-1] > 0.0)):
-        at = find_sign_change(compute_slope, float(s[i]), float(s[i + 1]))
-        if at is not None and 0.0 < at < 1.0:
-            z = piece.compute_points(at_0, np.array([at]))[0]
-            yield z, make_node(motion, z, t).t
+    inner = s[1:-1]
+    k = np.repeat(some, len(inner))
+    rates[some, 1:-1] = compute_nodes(k, np.tile(inner, len(some)))[1][:, p].reshape(len(some), -1)
+    row, i = np.nonzero((rates[some, 1:] > 0.0) != (rates[some, :-1] > 0.0))
+    k = some[row]
+    at = find_sign_changes(
+        lambda s, which: compute_nodes(k[which], s)[1][:, p],
+        (s[i], rates[k, i]),
+        (s[i + 1], rates[k, i + 1]),
+    )
+    inside = (at > 0.0) & (at < 1.0)
+    k = k[inside]
+    z, v = compute_nodes(k, at[inside])
+    return list(zip(k.tolist(), z, v, strict=True))
 
 
 # ---- arcs through solutions at many values of the parameter
@@ -488,12 +537,18 @@ class Net:
         """Join neighbouring nodes, and follow the curves from all ends that are left."""
         for i in range(len(self.values) - 1):
             self._join_levels(self.at[i], self.at[i + 1])
-        for a in range(len(self.x)):
-            if self.level[a] < len(self.values) - 1 and a not in self.up and a not in self.head:
-                self._follow_curve_from_node(a, 1.0)
-        for a in range(len(self.x)):
-            if self.level[a] > 0 and a not in self.below and a not in self.foot:
-                self._follow_curve_from_node(a, -1.0)
+        for sense, joined, ended, last in (
+            (1.0, self.up, self.head, len(self.values) - 1),
+            (-1.0, self.below, self.foot, 0),
+        ):
+            left = [
+                a
+                for a in range(len(self.x))
+                if self.level[a] != last and a not in joined and a not in ended
+            ]
+            for a, curve in zip(left, self._follow_curves(left, sense), strict=True):
+                if a not in joined and a not in ended:
+                    self._keep_curve(a, sense, curve)
 
     def _join_levels(self, low: np.ndarray, high: np.ndarray) -> None:
         if not low.size or not high.size:
@@ -517,27 +572,32 @@ class Net:
         self.up[a] = (b, piece)
         self.below.add(b)
 
-    def _follow_curve_from_node(self, a: int, sense: float) -> None:
-        """Follow the curve from node a up (sense 1) or down (-1) to the next level, or back.
+    def _follow_curves(self, nodes: list[int], sense: float) -> list[list[Piece]]:
+        """Follow the curves from nodes up (sense 1) or down (-1) to the next level, or back.
 
-        Its pieces are kept in `up`, `head`, `foot` and `loose`.
+        Returns the parts of each between folds.
         """
-        check_for_stop()
         motion = self.motion
+        i = self.level[nodes]
+        here = self.values[i]
+        there = self.values[i + int(sense)]
+        curves = follow_curves(
+            motion,
+            self.x[nodes],
+            sense * self.t[nodes],
+            np.minimum(here, there),
+            np.maximum(here, there),
+        )
+        return split_at_folds(motion, curves)
+
+    def _keep_curve(self, a: int, sense: float, parts: list[Piece]) -> None:
+        """Keep the parts of a curve from node a in `up`, `head`, `foot` and `loose`."""
         i = int(self.level[a])
         j = i + int(sense)
-        between = (
-            float(min(self.values[i], self.values[j])),
-            float(max(self.values[i], self.values[j])),
-        )
-        xs, ts = follow_curve(motion, self.x[a], sense * self.t[a], between)
-        parts = split_at_folds(motion, xs, ts)
-        arrived = (
-            i
-            if abs(xs[-1][motion.p] - self.values[i]) < abs(xs[-1][motion.p] - self.values[j])
-            else j
-        )
-        b = self._find_node(xs[-1], arrived)
+        end = parts[-1][0][-1]
+        value = end[self.motion.p]
+        arrived = i if abs(value - self.values[i]) < abs(value - self.values[j]) else j
+        b = self._find_node(end, arrived)
         if len(parts) == 1:
             x, t = parts[0]
             if b is not None and b not in (self.below if sense > 0.0 else self.up):
