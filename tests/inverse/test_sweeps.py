@@ -12,6 +12,7 @@ from hunts import some
 
 import kempe
 from kempe.inverse.sweep import ik_sweep
+from kempe.inverse.sweep_curves import ChainMotion
 
 AXIS = (0.6, 0.0, 0.8)
 CASES = {
@@ -56,3 +57,40 @@ def test_solutions_at_a_value_are_those_with_the_joint_held(case, joint):
         assert len(held) == sweep.mask[i].sum() and held.inside.sum() == sweep.inside[i].sum()
         rows = arm.model.theta(sweep.q[i][sweep.mask[i]])
         assert all(arm.model.apart(rows, x).min() < 1e-6 for x in arm.model.theta(held.q))
+
+
+def test_curves_are_followed_side_by_side(monkeypatch):
+    """How often points are corrected does not grow with the number of curves and intervals."""
+    calls: list[int] = []
+    correct = ChainMotion.correct_points
+
+    def count_calls(self, x, across, rounds=8):
+        calls.append(len(x))
+        return correct(self, x, across, rounds)
+
+    monkeypatch.setattr(ChainMotion, "correct_points", count_calls)
+    robot = kempe.load("panda")
+    frame = "panda_hand_tcp"
+    for q in robot.random(2, 4):
+        calls.clear()
+        sweep = robot.inverse.sweep(robot.fk(q, frame), frame)
+        assert len(calls) < 150 and sweep.intervals
+        calls.clear()
+        best = sweep.best()
+        assert best is not None and len(calls) <= 12
+        at = sweep.at(best.value)
+        away = np.abs(at.q - best.q).max(axis=1)
+        assert away.min() < 1e-6 and at.inside[int(np.argmin(away))]
+        # no value of a dense grid is better
+        values = np.concatenate(
+            [np.linspace(low, high, 200) for rows in sweep.intervals for low, high in rows]
+        )
+        held = robot.ik_all(
+            np.broadcast_to(sweep.target, (len(values), 4, 4)),
+            frame,
+            fixed={sweep.parameter: values},
+        )
+        x = held.q[held.mask & held.inside][:, :7]
+        low, high = robot.lower[:7], robot.upper[:7]
+        margin = (2.0 * np.minimum(x - low, high - x) / (high - low)).min(axis=1)
+        assert margin.max() <= best.score + 1e-9

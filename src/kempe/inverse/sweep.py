@@ -45,7 +45,7 @@ from kempe.inverse.closed_forms.chain_lines import Lines, find_chain_lines
 from kempe.inverse.closed_forms.plan import compute_domains, find_plan
 from kempe.inverse.closed_forms.problem import read_held_joints, read_near_configurations
 from kempe.inverse.ik_all import ik_all
-from kempe.inverse.sweep_curves import ChainMotion, CurvePiece, trace_arcs
+from kempe.inverse.sweep_curves import Arcs, ChainMotion, trace_arcs
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import SHARE, SHORT, TimeLimit, find_time_limit, limit_time
 from kempe.numerics.intervals import Intervals, format_intervals, unite_intervals
@@ -103,10 +103,10 @@ class Curves(Protocol):
         """
         ...
 
-    def compute_rows(self, values: Array, branch: int | None) -> tuple[Array, np.ndarray]:
+    def compute_rows(self, values: Array, branch: np.ndarray | None) -> tuple[Array, np.ndarray]:
         """Compute coordinates (m, K, n) of the chain, and which branches exist (m, K).
 
-        Of one branch K = 1; angles are in any turn.
+        With a branch (m,) for each value K = 1; angles are in any turn.
         """
         ...
 
@@ -293,14 +293,20 @@ class Sweep(Answer):
         )
 
     def _sample_branches(
-        self, values: Array, along: bool, branch: int | None = None
+        self, values: Array, along: bool, branch: np.ndarray | None = None
     ) -> tuple[Array, np.ndarray, np.ndarray]:
-        """Compute configurations (m, K, nq), which exist, and which are inside the limits (m, K)."""
+        """Compute configurations (m, K, nq), which exist, and which are inside the limits (m, K).
+
+        With a branch (m,) for each value K = 1.
+        """
         lines = self.curves.lines
         rows: list[tuple[Array, np.ndarray]] = []
         for k in range(0, max(len(values), 1), PIECE):
             check_for_stop()
-            rows.append(self.curves.compute_rows(values[k : k + PIECE], branch))
+            some = slice(k, k + PIECE)
+            rows.append(
+                self.curves.compute_rows(values[some], None if branch is None else branch[some])
+            )
         chain = np.concatenate([x for x, _ in rows])
         mask = np.concatenate([x for _, x in rows])
         chain, fits = choose_turns(lines, chain, mask, self.near[lines.q_index], along)
@@ -319,24 +325,41 @@ class Sweep(Answer):
         interval, the best refined by smaller and smaller steps.
         """
         score = self._make_score(objective)
-        found: list[Best] = []
-        for branch, rows in enumerate(self.intervals):
-            for low, high in rows:
-                values = np.linspace(low, high, TRIES)[1:-1]
-                first = self._find_best_sample(score, branch, values, None)
-                found += [first] if first else []
-        if not found:
+        spans = [(k, *ends) for k, rows in enumerate(self.intervals) for ends in rows]
+        if not spans:
             return None
-        found = sorted(found, key=lambda b: -b.score)[:REFINED]
-        return max(
-            (self._refine_best_configuration(score, b) for b in found), key=lambda b: b.score
-        )
+        (branch, low, high) = (np.array(column) for column in zip(*spans, strict=True))
+        values = np.linspace(low, high, TRIES, axis=1)[:, 1:-1]
+        found = self._find_best_samples(score, branch, values, [None] * len(spans))
+        order = [i for i in range(len(spans)) if found[i] is not None]
+        order = sorted(order, key=lambda i: -found[i].score)[:REFINED]
+        best = [found[i] for i in order]
+        branch, low, high = (x[order] for x in (branch, low, high))
+        step = (high - low) / (TRIES - 1)
+        while (left := np.flatnonzero(step > 1e-10)).size:
+            middle = np.array([best[i].value for i in left])
+            values = np.linspace(middle - step[left], middle + step[left], 21, axis=1)
+            values = np.clip(values, low[left, None], high[left, None])
+            better = self._find_best_samples(score, branch[left], values, [best[i] for i in left])
+            for i, one in zip(left, better, strict=True):
+                best[i] = one
+            step = step * 0.1
+        return max(best, key=lambda b: b.score, default=None)
 
-    def _find_best_sample(
-        self, score: Callable[[Array], Array], branch: int, values: Array, best: Best | None
-    ) -> Best | None:
-        """Find the best sample of one branch at these values, or return a better `best`."""
-        q, mask, fits = self._sample_branches(values, False, branch)
+    def _find_best_samples(
+        self,
+        score: Callable[[Array], Array],
+        branch: np.ndarray,
+        values: Array,
+        best: list[Any],
+    ) -> list[Any]:
+        """Find the best sample (k,) of each row of values (k, m) on branches (k,).
+
+        The `best` by now, or None, stays where none is better.
+        """
+        k, m = values.shape
+        flat = values.ravel()
+        q, mask, fits = self._sample_branches(flat, False, np.repeat(branch, m))
         rows = np.flatnonzero((mask & fits)[:, 0])
         if not rows.size:
             return best
@@ -346,19 +369,20 @@ class Sweep(Answer):
                 f"the objective gives an array {scores.shape} for "
                 f"{format_count(len(rows), 'configuration')}"
             )
-        k = int(np.argmax(scores))
-        if best is not None and scores[k] <= best.score:
-            return best
-        return Best(float(values[rows[k]]), q[rows[k], 0], branch, float(scores[k]))
-
-    def _refine_best_configuration(self, score: Callable[[Array], Array], best: Best) -> Best:
-        low, high = next((a, b) for a, b in self.intervals[best.branch] if a <= best.value <= b)
-        step = (high - low) / (TRIES - 1)
-        while step > 1e-10:
-            values = np.clip(np.linspace(best.value - step, best.value + step, 21), low, high)
-            best = self._find_best_sample(score, best.branch, values, best) or best
-            step *= 0.1
-        return best
+        out = list(best)
+        ends: list[int] = np.searchsorted(rows, list(range(0, m * k + 1, m))).tolist()
+        for i in range(k):
+            first = ends[i]
+            last = ends[i + 1]
+            if first == last:
+                continue
+            at = first + int(np.argmax(scores[first:last]))
+            before = out[i]
+            if before is None or scores[at] > before.score:
+                out[i] = Best(
+                    float(flat[rows[at]]), q[rows[at], 0], int(branch[i]), float(scores[at])
+                )
+        return out
 
     def _make_score(self, objective: str | Callable[[Array], Array]) -> Callable[[Array], Array]:
         if callable(objective):
@@ -803,15 +827,18 @@ class ArmCurves:
         """Find the intervals of the arm angle where each branch exists, or is inside the limits."""
         return self.posed.find_intervals(limited)
 
-    def compute_rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
+    def compute_rows(
+        self, values: Array, branch: np.ndarray | None = None
+    ) -> tuple[Array, np.ndarray]:
         """Compute coordinates (m, 8, 7), and which branches exist (m, 8).
 
-        Of one branch they are (m, 1, 7) and (m, 1).
+        With a branch (m,) for each value they are (m, 1, 7) and (m, 1).
         """
         theta, found = self.posed.solve_branches(values)
         if branch is not None:
-            theta = theta[:, [branch]]
-            found = found[:, [branch]]
+            rows = np.arange(len(values))
+            theta = theta[rows, branch][:, None]
+            found = found[rows, branch][:, None]
         return (theta - self.lines.offset) / self.lines.multiplier, found
 
 
@@ -824,7 +851,7 @@ class JointCurves:
     def __init__(
         self,
         motion: ChainMotion,
-        arcs: list[CurvePiece],
+        arcs: Arcs,
         name: str,
         domain: tuple[float, float],
         fixed: dict[str, float],
@@ -849,21 +876,25 @@ class JointCurves:
     def find_intervals(self, limited: bool) -> list[list[tuple[float, float]]]:
         """Find the intervals of the joint where each branch exists, or is inside the limits."""
         return [
-            [(a * self.unit, b * self.unit) for a, b in arc.find_intervals(limited)]
-            for arc in self.arcs
+            [(a * self.unit, b * self.unit) for a, b in rows]
+            for rows in self.arcs.find_intervals(limited)
         ]
 
-    def compute_rows(self, values: Array, branch: int | None = None) -> tuple[Array, np.ndarray]:
-        """Compute coordinates (m, K, n), and which branches exist (m, K); of one branch K = 1."""
-        arcs = self.arcs if branch is None else [self.arcs[branch]]
-        q = np.full((len(values), len(arcs), len(self.lines)), np.nan)
-        mask = np.zeros(q.shape[:2], dtype=bool)
-        for k, arc in enumerate(arcs):
-            x, mask[:, k] = arc.find_points(values / self.unit)
-            q[:, k] = self.motion.make_configurations(x)[:, self.lines.q_index]
-            q[:, k, self.motion.free[self.motion.p]] = values
+    def compute_rows(
+        self, values: Array, branch: np.ndarray | None = None
+    ) -> tuple[Array, np.ndarray]:
+        """Compute coordinates (m, K, n), and which branches exist (m, K).
+
+        With a branch (m,) for each value K = 1.
+        """
+        shape = (len(values), len(self.arcs) if branch is None else 1)
+        arc = np.tile(np.arange(shape[1]), shape[0]) if branch is None else branch
+        flat = np.repeat(values, shape[1])
+        x, mask = self.arcs.find_points(flat / self.unit, arc)
+        q = self.motion.make_configurations(x)[:, self.lines.q_index]
+        q[:, self.motion.free[self.motion.p]] = flat
         q[~mask] = np.nan
-        return q, mask
+        return q.reshape(*shape, -1), mask.reshape(shape)
 
 
 def _trace_joint_curves(problem: Problem, samples: int) -> JointCurves:

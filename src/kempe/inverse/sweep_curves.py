@@ -10,13 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kempe.answers.targets import TASKS, is_axis_task, make_rotations_along
 from kempe.budget import TimeUp, check_for_stop
-from kempe.forward.fk import fk, jacobian
+from kempe.forward.fk import Query, query
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import TimeLimit
@@ -36,6 +37,9 @@ MOST_STEPS = 4000
 
 LANDINGS = 20
 """Bisections of a step that find where it passes a value of the parameter; a corrector follows."""
+
+BISECTIONS = 45
+"""The same, where it is found on a curve that is known."""
 
 CONVERGED = 1e-13
 HELD = 1e-11
@@ -70,13 +74,13 @@ class ChainMotion:
         """Number of joints that move."""
         return len(self.free)
 
-    @property
+    @cached_property
     def unit(self) -> Array:
         """Unit (nf,) of each free coordinate x in the system's units."""
         free = list(self.free)
         return np.where(self.lines.kinds[free] == SLIDE, self.lines.length, 1.0)
 
-    @property
+    @cached_property
     def period(self) -> Array:
         """Period (nf,) of each free coordinate: a turn; infinite for slides."""
         free = list(self.free)
@@ -84,7 +88,7 @@ class ChainMotion:
             self.lines.kinds[free] == SLIDE, np.inf, TWO_PI / np.abs(self.lines.multiplier[free])
         )
 
-    @property
+    @cached_property
     def limits(self) -> Array:
         """Limits (2, nf) of x."""
         return self.lines.limits[:, list(self.free)] / self.unit
@@ -92,40 +96,64 @@ class ChainMotion:
     def make_configurations(self, x: Array) -> Array:
         """Make configurations (..., nq) of free coordinates x (..., nf)."""
         out = np.array(np.broadcast_to(self.base, (*x.shape[:-1], len(self.base))), order="C")
-        out[..., self.lines.q_index[list(self.free)]] = x * self.unit
+        out[..., self._places] = x * self.unit
         return out
+
+    @cached_property
+    def _places(self) -> np.ndarray:
+        """Places (nf,) in q of the joints that move."""
+        return self.lines.q_index[list(self.free)]
 
     def read_coordinates(self, q: Array) -> Array:
         """Read the free coordinates (..., nf) of configurations (..., nq)."""
-        return q[..., self.lines.q_index[list(self.free)]] / self.unit
+        return q[..., self._places] / self.unit
 
-    @property
+    @cached_property
     def tool(self) -> Array:
         """Rotation (3, 3) from the frame to one whose z axis is the tool's axis."""
         return make_rotations_along(np.array(self.axis)) if is_axis_task(self.task) else np.eye(3)
 
-    @property
+    @cached_property
     def rows(self) -> Array:
         """Weights (6,), 0 or 1, of the six pose errors."""
         planar = self.system.dim == 2 and self.task == "pose"
         return np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
 
-    def compute_missing_twist(self, q: Array) -> Array:
-        """Compute the twist (..., 6) from the tip to the target, in the tip's frame.
+    @cached_property
+    def _weights(self) -> Array:
+        """Weights (6, nf) that derivatives of the tip's twist have where the tool needs no turn."""
+        unit = self.rows * np.repeat([1.0 / self.lines.length, 1.0], 3)
+        return unit[:, None] * self.unit
+
+    @cached_property
+    def _find_pose(self) -> Query:
+        return query(self.system, self.frame)
+
+    @cached_property
+    def _columns(self) -> np.ndarray:
+        """Velocity coordinates (nf,) of the joints that move."""
+        return self.lines.v_index[list(self.free)]
+
+    def compute_missing_twist(self, x: Array) -> Array:
+        """Compute the twist (..., 6) from the tip to the target at x (..., nf), in the tip's frame.
 
         Lengths are in lengths of the chain.
 
         What the task does not ask for is zero.
         """
-        X = fk(self.system, q, self.frame)
+        return self._compare_poses(self._find_pose(self.make_configurations(x), threads=1))
+
+    def _compare_poses(self, X: Array) -> Array:
+        """Compute the missing twist (..., 6) at poses (..., 4, 4) of the tip."""
         turn = self.tool
-        back = np.swapaxes(X[..., :3, :3] @ turn, -1, -2)
+        pointed = is_axis_task(self.task)
+        back = np.swapaxes(X[..., :3, :3] @ turn if pointed else X[..., :3, :3], -1, -2)
         away = (
             np.einsum("...ij,...j->...i", back, self.target[:3, 3] - X[..., :3, 3])
             / self.lines.length
         )
         left = back @ (self.target[:3, :3] @ turn)
-        if is_axis_task(self.task):
+        if pointed:
             angular = np.stack(
                 [-left[..., 1, 2], left[..., 0, 2], np.zeros(left.shape[:-2])], axis=-1
             )
@@ -135,12 +163,20 @@ class ChainMotion:
 
     def compute_twist_jacobian(self, x: Array) -> Array:
         """Compute derivatives (..., 6, nf) of the tip's twist by x."""
-        J = jacobian(self.system, self.make_configurations(x), self.frame, "body")
-        J = J[..., self.lines.v_index[list(self.free)]] * self.unit
-        J = np.concatenate(
-            [self.tool.T @ J[..., :3, :] / self.lines.length, self.tool.T @ J[..., 3:, :]], axis=-2
-        )
-        return self.rows[:, None] * J
+        return self.evaluate_twist(x)[1]
+
+    def evaluate_twist(self, x: Array) -> tuple[Array, Array]:
+        """Compute the missing twist (..., 6) at x (..., nf), and derivatives (..., 6, nf) of the tip's
+        twist.
+        """
+        q = self.make_configurations(x)
+        X, J = self._find_pose.pose_and_jacobian(q, "body", threads=1)
+        J = J[..., self._columns]
+        if is_axis_task(self.task):
+            J = np.concatenate(
+                [self.tool.T @ part for part in (J[..., :3, :], J[..., 3:, :])], axis=-2
+            )
+        return self._compare_poses(X), self._weights * J
 
     def correct_points(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
         """Find points (m, nf) of the curve in planes through x (m, nf), and which exist (m,).
@@ -150,15 +186,12 @@ class ChainMotion:
         at = np.sum(across * x, axis=-1)
 
         def evaluate_equations(x: Array, some: np.ndarray) -> tuple[Array, Array]:
-            e = self.compute_missing_twist(self.make_configurations(x))
-            J = self.compute_twist_jacobian(x)
+            e, J = self.evaluate_twist(x)
             away = np.sum(across[some] * x, axis=-1) - at[some]
             return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
 
         x = run_many_gauss_newton(evaluate_equations, x, rounds, met=CONVERGED)
-        return x, np.abs(self.compute_missing_twist(self.make_configurations(x))).max(
-            axis=-1
-        ) < HELD
+        return x, np.abs(self.compute_missing_twist(x)).max(axis=-1) < HELD
 
     def compute_short_difference(self, x: Array, y: Array) -> Array:
         """Compute y - x (..., nf), with angles the short way."""
@@ -181,23 +214,50 @@ class ChainMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class CurvePiece:
-    """A piece of a curve over which the parameter rises: nodes x (k, nf) and unit tangents t (k,
-    nf).
+class Arcs:
+    """Arcs of curves over which the parameter rises: nodes x (k, nf) and unit tangents t (k, nf) of
+    one arc after the other; arc i has the nodes first[i] to last[i].
     """
 
     motion: ChainMotion
     x: Array
     t: Array
+    first: np.ndarray
+    last: np.ndarray
 
-    @property
+    def __len__(self) -> int:
+        return len(self.first)
+
+    @cached_property
     def values(self) -> Array:
         """Parameter values (k,) of the nodes."""
-        return self.x[:, self.motion.p]
+        return np.ascontiguousarray(self.x[:, self.motion.p])
 
     def guess_points(self, k: np.ndarray, s: Array) -> Array:
         """Estimate points (m, nf) at fractions s (m,) of steps k (m,), by cubics."""
         return interpolate_hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
+
+    def bisect_steps(
+        self, k: np.ndarray, joint: Any, level: Array, low: Array, high: Array
+    ) -> tuple[Array, Array]:
+        """Find between which fractions (m,) of steps k the estimates of a joint pass levels (m,).
+
+        `joint` is the number of the joint, or one for each step.
+        """
+        size = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
+        x0, x1 = self.x[k, joint], self.x[k + 1, joint]
+        d0, d1 = size * self.t[k, joint], size * self.t[k + 1, joint]
+
+        def estimate_joint(s: Array) -> Array:
+            return evaluate_cubics(x0, d0, x1, d1, s)
+
+        rising = estimate_joint(high) > estimate_joint(low)
+        for _ in range(BISECTIONS):
+            s = 0.5 * (low + high)
+            before = (estimate_joint(s) < level) == rising
+            low = np.where(before, s, low)
+            high = np.where(before, high, s)
+        return low, high
 
     def compute_points(self, k: np.ndarray, s: Array) -> Array:
         """Compute points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
@@ -205,23 +265,24 @@ class CurvePiece:
         across /= np.linalg.norm(across, axis=-1, keepdims=True)
         return self.motion.correct_points(self.guess_points(k, s), across)[0]
 
-    def find_points(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Find points (m, nf) at parameter values (m,), and whether the arc exists there (m,)."""
+    def find_points(self, values: Array, arc: np.ndarray) -> tuple[Array, np.ndarray]:
+        """Find points (m, nf) of arcs (m,) at parameter values (m,), and which exist (m,)."""
         p = self.motion.p
         known = self.values
-        there = (values >= known[0]) & (values <= known[-1])
+        first = self.first[arc]
+        last = self.last[arc]
+        there = (values >= known[first]) & (values <= known[last])
         out = np.full((len(values), self.x.shape[1]), np.nan)
         if not there.any():
             return out, there
         v = values[there]
-        k = np.clip(np.searchsorted(known, v, side="right") - 1, 0, len(known) - 2)
-        low = np.zeros(len(v))
-        high = np.ones(len(v))
-        for _ in range(45):
-            s = 0.5 * (low + high)
-            less = self.guess_points(k, s)[:, p] < v
-            low = np.where(less, s, low)
-            high = np.where(less, high, s)
+        k = np.empty(len(v), dtype=np.int64)
+        for i in np.unique(arc[there]):
+            own = arc[there] == i
+            nodes = known[self.first[i] : self.last[i] + 1]
+            k[own] = self.first[i] + np.searchsorted(nodes, v[own], side="right") - 1
+        k = np.clip(k, first[there], last[there] - 1)
+        low, high = self.bisect_steps(k, p, v, np.zeros(len(v)), np.ones(len(v)))
         x = self.guess_points(k, 0.5 * (low + high))
         x[:, p] = v
         across = np.zeros_like(x)
@@ -229,70 +290,76 @@ class CurvePiece:
         better, good = self.motion.correct_points(x, across)
         steps = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
         good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
-        for end in (0, -1):  # the ends are folds, where the corrector has nothing to hold on to
-            at_end = np.abs(v - known[end]) <= 1e-14 * (1.0 + abs(known[end]))
-            better[at_end] = self.x[end]
+        for ends in (first, last):  # folds, where the corrector has nothing to hold on to
+            end = ends[there]
+            at_end = np.abs(v - known[end]) <= 1e-14 * (1.0 + np.abs(known[end]))
+            better[at_end] = self.x[end[at_end]]
             good[at_end] = True
         out[there] = better
         there[there] = good
         return out, there
 
-    def find_intervals(self, limited: bool = True) -> list[tuple[float, float]]:
-        """Find the intervals of the parameter in which the arc is inside the limits.
+    def find_intervals(self, limited: bool = True) -> list[list[tuple[float, float]]]:
+        """Find the intervals of the parameter in which each arc is inside the limits.
 
         Without `limited`, return all of it.
         """
+        low = self.values[self.first].tolist()
+        high = self.values[self.last].tolist()
         if not limited:
-            return [(float(self.values[0]), float(self.values[-1]))]
-        last = len(self.x) - 1
-        ends = [
-            (0.0, self.values[0]),
-            *sorted(self._iterate_crossings()),
-            (float(last), self.values[-1]),
-        ]
-        pairs = [(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b[0] - a[0] > 1e-11]
-        middles = np.array([0.5 * (a[0] + b[0]) for a, b in pairs])
-        k = np.minimum(middles.astype(int), last - 1)
-        good = self.motion.is_inside_limits(self.compute_points(k, middles - k))
-        kept = [pair for pair, inside in zip(pairs, good, strict=True) if inside]
-        parts = [(float(low), float(high)) for (_, low), (_, high) in kept]
-        return list(unite_intervals(parts, slack=SAME_ANGLE))
+            return [[pair] for pair in zip(low, high, strict=True)]
+        crossings: list[list[tuple[float, float]]] = [[] for _ in range(len(self))]
+        for i, place, value in self._iterate_crossings():
+            crossings[i].append((place, value))
+        pairs: list[tuple[int, tuple[float, float], tuple[float, float]]] = []
+        for i, found in enumerate(crossings):
+            steps = float(self.last[i] - self.first[i])
+            ends = [(0.0, low[i]), *sorted(found), (steps, high[i])]
+            pairs += [
+                (i, a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b[0] - a[0] > 1e-11
+            ]
+        if not pairs:
+            return [[] for _ in crossings]
+        middles = np.array([0.5 * (a[0] + b[0]) for _, a, b in pairs])
+        arc = np.array([i for i, _, _ in pairs])
+        k = np.minimum(middles.astype(int), (self.last - self.first)[arc] - 1)
+        points = self.compute_points(self.first[arc] + k, middles - k)
+        parts: list[list[tuple[float, float]]] = [[] for _ in crossings]
+        for (i, a, b), inside in zip(pairs, self.motion.is_inside_limits(points), strict=True):
+            if inside:
+                parts[i].append((a[1], b[1]))
+        return [list(unite_intervals(part, slack=SAME_ANGLE)) for part in parts]
 
-    def _iterate_crossings(self) -> Iterator[tuple[float, float]]:
-        """Yield step, fraction and parameter where another joint passes a limit."""
+    def _iterate_crossings(self) -> Iterator[tuple[int, float, float]]:
+        """Yield arc, place in its steps and parameter where another joint passes a limit."""
         m = self.motion
-        steps = len(self.x) - 1
-        k = np.repeat(np.arange(steps), len(CHECKS))
-        some = self.guess_points(k, np.tile(CHECKS, steps)).reshape(steps, len(CHECKS), -1)
-        found: list[tuple[int, int, int, float]] = []
-        for j, (low, high) in enumerate(m.limits.T):
+        steps = np.delete(np.arange(len(self.x)), self.last)
+        k = np.repeat(steps, len(CHECKS))
+        some = self.guess_points(k, np.tile(CHECKS, len(steps)))
+        some = some.reshape(len(steps), len(CHECKS), -1)
+        found: list[tuple[np.ndarray, ...]] = []
+        limits: list[list[float]] = m.limits.T.tolist()
+        for j, (low, high) in enumerate(limits):
             for limit in {low, high} if j != m.p else ():
                 if not math.isfinite(limit):
                     continue
                 period = m.period[j] if math.isfinite(m.period[j]) else 1e30
                 lap = np.floor((some[..., j] - limit) / period)
-                for k, i in zip(*np.nonzero(lap[:, 1:] != lap[:, :-1]), strict=True):
-                    lifted = max(lap[k, i], lap[k, i + 1])
-                    found.append(
-                        (int(k), int(i), j, float(limit + period * lifted if lifted else limit))
-                    )
-        if not found:
+                k, i = np.nonzero(lap[:, 1:] != lap[:, :-1])
+                lifted = np.maximum(lap[k, i], lap[k, i + 1])
+                level: Array = np.where(lifted != 0.0, limit + period * lifted, limit)
+                found.append((steps[k], i, np.full(len(k), j), level))
+        if not sum(len(k) for k, *_ in found):
             return
-        at, i, joint, level = (np.array(column) for column in zip(*found, strict=True))
-        low = CHECKS[i]
-        high = CHECKS[i + 1]
+        at, i, joint, level = (np.concatenate(column) for column in zip(*found, strict=True))
         rows = np.arange(len(at))
-        rising = self.guess_points(at, high)[rows, joint] > self.guess_points(at, low)[rows, joint]
-        for _ in range(30):
-            s = 0.5 * (low + high)
-            before = (self.guess_points(at, s)[rows, joint] < level) == rising
-            low = np.where(before, s, low)
-            high = np.where(before, high, s)
+        low, high = self.bisect_steps(at, joint, level, CHECKS[i], CHECKS[i + 1])
         first = self.guess_points(at, 0.5 * (low + high))
         first[rows, joint] = level
         x, good = m.correct_points(first, np.eye(some.shape[-1])[joint])
         size = np.linalg.norm(self.x[at + 1] - self.x[at], axis=-1)
         good &= np.linalg.norm(x - first, axis=-1) < 0.05 * size + 1e-9
+        arc = np.searchsorted(self.last, at)
         for r in rows:
             if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
 
@@ -306,9 +373,11 @@ class CurvePiece:
                     continue
                 low[r] = high[r] = s
                 x[r] = self.compute_points(at[[r]], np.array([s]))[0]
+            ends = self.values[[self.first[arc[r]], self.last[arc[r]]]]
             yield (
-                float(at[r] + 0.5 * (low[r] + high[r])),
-                float(np.clip(x[r, m.p], self.values[0], self.values[-1])),
+                int(arc[r]),
+                float(at[r] - self.first[arc[r]] + 0.5 * (low[r] + high[r])),
+                float(np.clip(x[r, m.p], *ends)),
             )
 
 
@@ -328,10 +397,15 @@ def compute_rotation_vector(R: Array) -> Array:
 def interpolate_hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
     """Interpolate points (m, n) at fractions s (m,) between nodes with unit tangents (m, n)."""
     size = np.linalg.norm(x1 - x0, axis=-1, keepdims=True)
-    s = s[:, None]
-    d = x1 - x0
+    return evaluate_cubics(x0, size * t0, x1, size * t1, s[:, None])
+
+
+def evaluate_cubics(x0: Array, d0: Array, x1: Array, d1: Array, s: Array) -> Array:
+    """Evaluate cubics at s between 0, where they are x0 with the derivative d0, and 1."""
     return (
-        x0 + s * s * (3.0 - 2.0 * s) * d + size * (s * (1.0 - s) ** 2 * t0 - s * s * (1.0 - s) * t1)
+        x0
+        + s * s * (3.0 - 2.0 * s) * (x1 - x0)
+        + (s * (1.0 - s) ** 2 * d0 - s * s * (1.0 - s) * d1)
     )
 
 
@@ -535,8 +609,7 @@ class Net:
 
     def join_nodes(self) -> None:
         """Join neighbouring nodes, and follow the curves from all ends that are left."""
-        for i in range(len(self.values) - 1):
-            self._join_levels(self.at[i], self.at[i + 1])
+        self._join_levels()
         for sense, joined, ended, last in (
             (1.0, self.up, self.head, len(self.values) - 1),
             (-1.0, self.below, self.foot, 0),
@@ -550,23 +623,27 @@ class Net:
                 if a not in joined and a not in ended:
                     self._keep_curve(a, sense, curve)
 
-    def _join_levels(self, low: np.ndarray, high: np.ndarray) -> None:
-        if not low.size or not high.size:
+    def _join_levels(self) -> None:
+        """Join nodes of neighbouring levels that only fit to each other."""
+        pairs = [
+            (np.repeat(low, len(high)), np.tile(high, len(low)))
+            for low, high in zip(self.at[:-1], self.at[1:], strict=True)
+            if low.size and high.size
+        ]
+        if not pairs:
             return
-        d = self.motion.compute_short_difference(self.x[low][:, None], self.x[high][None])
-        t = self.t[low][:, None]
-        u = self.t[high][None]
+        a, b = (np.concatenate(column) for column in zip(*pairs, strict=True))
+        d = self.motion.compute_short_difference(self.x[a], self.x[b])
+        t = self.t[a]
+        u = self.t[b]
         size = np.linalg.norm(d, axis=-1)
-        straight = np.linalg.norm(d - 0.5 * size[..., None] * (t + u), axis=-1) <= STRAIGHT * size
+        straight = np.linalg.norm(d - 0.5 * size[:, None] * (t + u), axis=-1) <= STRAIGHT * size
         fits = straight & (np.sum(t * u, axis=-1) >= math.cos(BEND)) & (size < 2.0 * LONGEST)
-        for j, k in zip(
-            *np.nonzero(fits & (fits.sum(axis=0) == 1) & (fits.sum(axis=1) == 1)[:, None]),
-            strict=True,
-        ):
-            a = int(low[j])
-            b = int(high[k])
-            x = np.array([self.x[a], self.x[a] + d[j, k]])
-            self._link_nodes(a, b, (x, self.t[[a, b]]))
+        a = a[fits]
+        b = b[fits]
+        alone = (np.bincount(a)[a] == 1) & (np.bincount(b)[b] == 1)
+        for i, j, way in zip(a[alone].tolist(), b[alone].tolist(), d[fits][alone], strict=True):
+            self._link_nodes(i, j, (np.stack([self.x[i], self.x[i] + way]), self.t[[i, j]]))
 
     def _link_nodes(self, a: int, b: int, piece: Piece) -> None:
         self.up[a] = (b, piece)
@@ -631,7 +708,7 @@ class Net:
         k = int(np.argmin(away))
         return int(some[k]) if away[k] < SAME else None
 
-    def list_arcs(self) -> list[CurvePiece]:
+    def list_arcs(self) -> Arcs:
         """List all arcs, in the order of their beginnings."""
         out = [self._make_arc([piece]) for piece in self.loose]
         for a in range(len(self.x)):
@@ -646,30 +723,37 @@ class Net:
                 parts.append(self.head[k])
             if parts:
                 out.append(self._make_arc(parts))
-        return sorted(out, key=lambda a: (round(float(a.values[0]), 6), *a.x[0].round(6).tolist()))
-
-    def _make_arc(self, parts: list[Piece]) -> CurvePiece:
-        """Make one arc of consecutive pieces; the parameter rises and angles have no jumps."""
-        (x, t) = parts[0]
         p = self.motion.p
-        xs = list(x)
-        ts = list(t)
-        for more, tangents in parts[1:]:
-            turn = xs[-1] + self.motion.compute_short_difference(xs[-1], more[0]) - more[0]
-            xs += list(more[1:] + turn)
-            ts += list(tangents[1:])
-        x = np.array(xs)
-        t = np.array(ts)
+        out.sort(key=lambda arc: (round(float(arc[0][0, p]), 6), *arc[0][0].round(6).tolist()))
+        last = np.cumsum([len(x) for x, _ in out], dtype=np.int64) - 1
+        first = np.concatenate([[0], last[:-1] + 1])[: len(out)].astype(np.int64)
+        none = np.zeros((0, self.motion.n))
+        x, t = (np.concatenate([none, *(arc[i] for arc in out)]) for i in (0, 1))
+        return Arcs(self.motion, x, t, first, last)
+
+    def _make_arc(self, parts: list[Piece]) -> Piece:
+        """Make one arc of consecutive pieces; the parameter rises and angles have no jumps."""
+        motion = self.motion
+        p = motion.p
+        begins = np.array([x[0] for x, _ in parts])
+        ends = np.array([x[-1] for x, _ in parts])
+        jumps = motion.compute_short_difference(ends[:-1], begins[1:]) - (begins[1:] - ends[:-1])
+        turns = np.concatenate([np.zeros((1, motion.n)), np.cumsum(jumps, axis=0)])
+        more = [0] + [1] * (len(parts) - 1)
+        x = np.concatenate(
+            [x[i:] + turn for (x, _), turn, i in zip(parts, turns, more, strict=True)]
+        )
+        t = np.concatenate([t[i:] for (_, t), i in zip(parts, more, strict=True)])
         if x[-1, p] < x[0, p]:
             x = x[::-1]
             t = -t[::-1]
         keep = np.concatenate([[True], np.diff(np.maximum.accumulate(x[:, p])) > 0.0])
-        return CurvePiece(self.motion, x[keep], t[keep])
+        return x[keep], t[keep]
 
 
 def trace_arcs(
     motion: ChainMotion, values: Array, x: Array, level: np.ndarray, time: TimeLimit
-) -> list[CurvePiece]:
+) -> Arcs:
     """Trace the arcs through solutions x (M, nf) at rising values (m,) of the parameter.
 
     `level` (M,) is the index of each solution's value.
