@@ -5,6 +5,7 @@ together.
 from __future__ import annotations
 
 import copy
+import inspect
 import json
 import pickle
 
@@ -15,7 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from kempe import Mechanism, System
+from kempe import Mechanism, System, joints
+from kempe.description.keywords import JointKeywords
 from kempe.description.toml_reader import read_toml
 from kempe.errors import DescriptionError, Fault, InputError, KempeError, UnknownNameError, Where
 from kempe.poses import Placement, place
@@ -1389,3 +1391,32 @@ def test_keywords_that_are_none(keywords, words):
     m = Mechanism("m")
     with pytest.raises((DescriptionError, InputError), match=words):
         m.revolute("j", m.ground, m.body("b"), **keywords)
+
+
+def test_methods_of_joints_show_all_keywords():
+    """Signatures and docstrings of `revolute` and its siblings have all keywords of `joint`, with
+    their types and defaults, and so has the type `JointKeywords` that editors read.
+    """
+    own = inspect.signature(Mechanism.joint).parameters
+    shown = {name: own[name].annotation for name in JointKeywords.__annotations__}
+    assert [p for p in own if p in shown] == list(own)[5:-1]
+    types = {n: t.__forward_arg__ for n, t in JointKeywords.__annotations__.items()}
+    assert types == shown
+    for kind in joints.TYPES:
+        method = getattr(Mechanism, kind)
+        keywords = inspect.signature(method).parameters
+        assert all(keywords[p].default == own[p].default for p in shown)
+        assert {p.kind for p in keywords.values()} <= {
+            inspect.Parameter.POSITIONAL_OR_KEYWORD,
+            inspect.Parameter.KEYWORD_ONLY,
+        }
+        described = method.__doc__.partition("Parameters\n---")[2].partition("\n\nReturns")[0]
+        lines = {name for line in described.splitlines() for name in line.split(", ")}
+        assert set(keywords) - {"self"} <= lines, kind
+
+
+def test_no_public_method_takes_any():
+    public = [f for n, f in vars(Mechanism).items() if inspect.isfunction(f) and n[0] != "_"]
+    assert len(public) > 30
+    for function in public:
+        assert "Any" not in str(inspect.signature(function)), function

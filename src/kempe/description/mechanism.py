@@ -11,7 +11,7 @@ import re
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, Unpack
 
 import numpy as np
 
@@ -31,6 +31,19 @@ from kempe.constraints.base import (
 )
 from kempe.constraints.tape import POSE, TWIST
 from kempe.description import checks
+from kempe.description.keywords import (
+    AxisLike,
+    BodyLike,
+    BoundsLike,
+    JointKeywords,
+    LimitsLike,
+    MatrixLike,
+    PlaceLike,
+    ValueLike,
+    ValuesLike,
+    make_turn,
+    show_joint_keywords,
+)
 from kempe.description.parts import Body, Coupling, Declared, Frame, Joint, Shape
 from kempe.description.source import pause_garbage_collection
 from kempe.errors import (
@@ -369,188 +382,41 @@ def rename_constraint(
     )
 
 
-# ---- constraints: methods of the builder
-
-BodyLike = Body | str
-
-
-class ConstraintMethods:
-    """Base of `Mechanism`: methods that add constraints other than joints."""
-
-    def constrain(
-        self: Any, constraint: Constraint, name: str = "", where: Where | None = None
-    ) -> Declared:
-        """Add a constraint of `kempe.constraints` that the mechanism always satisfies.
-
-        It holds between frames or bodies of the mechanism.
-
-        Numbers may be expressions in parameters. It is no connection: the bodies need joints
-        besides, `free` where nothing else holds them. What only `ik` reads (`weight`, `priority`,
-        `tolerance`) is refused. Errors: `DescriptionError` with what is wrong and what is allowed.
-        """
-        return declare_constraint(self, constraint, name, where)
-
-    def distance(
-        self: Any,
-        name: str,
-        a: BodyLike | Frame,
-        b: BodyLike | Frame,
-        length: Value | str,
-        at: object = (0.0, 0.0, 0.0),
-        child_at: object = (0.0, 0.0, 0.0),
-        where: Where | None = None,
-    ) -> Declared:
-        """Add a rod of given length [m] between point `at` on `a` and point `child_at` on `b`.
-
-        Both ends of the rod are ball hinges.
-
-        `a` and `b` are bodies or frames; points are read in their axes, or are names of frames on
-        them. The rod is no connection: both bodies need joints besides, `free` where nothing else
-        holds them.
-        """
-        return declare_placed_constraint(
-            self, name, "distance", (a, at, {}), (b, child_at, {}), length, where
-        )
-
-    def point_on_line(
-        self: Any,
-        name: str,
-        a: BodyLike | Frame,
-        b: BodyLike | Frame,
-        at: object = (0.0, 0.0, 0.0),
-        child_at: object = (0.0, 0.0, 0.0),
-        where: Where | None = None,
-        **turn: Any,
-    ) -> Declared:
-        """Keep point `child_at` of `b` on a line of `a`.
-
-        The line passes through `at` along z of its frame (or `axis`, as in `joint`).
-        """
-        return declare_placed_constraint(
-            self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where
-        )
-
-    def point_on_plane(
-        self: Any,
-        name: str,
-        a: BodyLike | Frame,
-        b: BodyLike | Frame,
-        at: object = (0.0, 0.0, 0.0),
-        child_at: object = (0.0, 0.0, 0.0),
-        where: Where | None = None,
-        **turn: Any,
-    ) -> Declared:
-        """Keep point `child_at` of `b` in a plane of `a`.
-
-        The plane passes through `at`, normal to z of its frame (or `axis`, as in `joint`).
-        """
-        return declare_placed_constraint(
-            self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where
-        )
-
-    def no_sideslip(
-        self: Any, name: str, frame: BodyLike | Frame, speed: Value | str = 0.0
-    ) -> Declared:
-        """Forbid velocity of a frame's origin along its y axis, or prescribe it as `speed`.
-
-        The constraint is that of a wheel with axle y.
-        """
-        return self.constrain(constraints.NoSideslip(str(frame), speed=speed), name)
-
-    def rolls(
-        self: Any,
-        name: str,
-        frame: BodyLike | Frame,
-        radius: Value | str,
-        on: BodyLike | Frame | None = None,
-        shape: str = "ball",
-        spin: bool = True,
-        one_sided: bool = False,
-    ) -> Declared:
-        """Let a ball or disc roll without slipping on the xy-plane of `on` (default: the ground).
-
-        The centre of the ball or disc is the origin of `frame`.
-
-        The axle of a disc is y of its frame. Without `spin` it does not turn about the normal
-        either; `one_sided`: it may leave the plane.
-        """
-        other = None if on is None else str(on)
-        return self.constrain(
-            constraints.Rolls(str(frame), other, radius, shape, spin, one_sided), name
-        )
-
-    def contact(
-        self: Any,
-        name: str,
-        frame: BodyLike | Frame,
-        on: BodyLike | Frame | None = None,
-        radius: Value | str = 0.0,
-        shape: str = "ball",
-    ) -> Declared:
-        """Keep a point, ball or disc above the xy-plane of `on` (default: the ground).
-
-        The point, or the centre of the ball or disc, is the origin of `frame`.
-        """
-        return self.constrain(
-            constraints.Contact(str(frame), None if on is None else str(on), radius, shape), name
-        )
-
-    def equation(
-        self: Any,
-        name: str,
-        expression: str | Sequence[str] | Callable[..., Any],
-        of: Sequence[str] = (),
-        time: bool = False,
-    ) -> Declared:
-        """Add an equation f = 0 of coordinates, or several.
-
-        The equation is a text, ``"A = 2*B"``, or a function of the coordinates named in `of`.
-
-        A function is called with a mapping from these names to numbers, with `time` also with the
-        time t. Text finds its coordinates itself; other names are parameters.
-        """
-        return self.constrain(constraints.Equation(expression, of, time, name=name), name)
-
-    def inequality(
-        self: Any,
-        name: str,
-        expression: str | Sequence[str] | Callable[..., Any],
-        of: Sequence[str] = (),
-        time: bool = False,
-    ) -> Declared:
-        """Add an inequality f >= 0 of coordinates, or several, as in `equation`: ``"1.2 - A"``."""
-        return self.constrain(constraints.Inequality(expression, of, time, name=name), name)
-
-    def velocity_equation(
-        self: Any,
-        name: str,
-        matrix: Sequence[Sequence[Any]] | Callable[..., Any],
-        of: Sequence[str],
-        b: Any = 0,
-        time: bool = False,
-    ) -> Declared:
-        """Add equations A(q) v = b(q, t) of velocities.
-
-        v are the velocities of the coordinates named in `of`, and the rows of A are texts,
-        ``[["-y^2", 0, 1]]``, or a function.
-
-        `matrix` holds numbers and texts, or is a function that returns rows; so is `b`, one number
-        for each row.
-        """
-        return self.constrain(constraints.VelocityEquation(matrix, of, b, time, name=name), name)
-
-
 # ---- the builder
 
 
 @explain_method_errors
-class Mechanism(ConstraintMethods):
+class Mechanism:
     """System under construction: bodies, joints, frames, couplings, limits and parameters.
 
-    Every method that adds something returns its record or name; a wrong call raises at once and
-    changes nothing. Lengths are metres, angles radians; both may be expressions in parameters, such
-    as ``"l1/2"``.
+    Parameters
+    ----------
+    name
+        Name of the mechanism.
+    dim
+        3 for a mechanism in space (default), 2 for one in the plane: its bodies stay in the
+        xy-plane and turn about z.
+    ground
+        Name of body 0, which does not move (default: "ground").
 
+    Raises
+    ------
+    InputError
+        If `dim` is neither 2 nor 3, or a name is empty.
+
+    See Also
+    --------
+    Mechanism.build : the `System`, with which everything is computed.
+    kempe.load, kempe.read : read a mechanism from a file.
+
+    Notes
+    -----
+    Lengths are metres, angles radians. Both may be expressions in parameters, such as ``"l1/2"``,
+    where the method says so. Every method that adds something returns its record or name. A wrong
+    call raises an error at once and changes nothing.
+
+    Examples
+    --------
     >>> arm = Mechanism("two-link", dim=2)
     >>> upper, lower = arm.body("upper"), arm.body("lower")
     >>> _ = arm.revolute("q1", arm.ground, upper)
@@ -590,7 +456,7 @@ class Mechanism(ConstraintMethods):
 
     @property
     def ground(self) -> Body:
-        """Body that does not move: body 0."""
+        """Body that does not move: body 0 of the system."""
         return self.bodies[self._ground]
 
     def body(
@@ -602,14 +468,80 @@ class Mechanism(ConstraintMethods):
     ) -> Body:
         """Add a rigid body and return it.
 
-        `mass` in kg and `center` of mass (x, y, z) in the body's frame are optional.
+        Parameters
+        ----------
+        name
+            Name, which no other body or frame has.
+        mass
+            Mass in kilograms, not negative (default: unknown). Only tasks on the centre of mass
+            read it.
+        center
+            Centre of mass in the frame of the body: 2 or 3 lengths in metres (default: unknown).
+        where
+            Place in a file, for error messages; readers of files give it.
+
+        Returns
+        -------
+        Body
+            Record of the body. Other methods take the record or the name.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, the mass is negative, or the centre has not 2 or 3 numbers.
+
+        See Also
+        --------
+        Mechanism.particle : a body without orientation.
+
+        Notes
+        -----
+        A body needs at least one joint that connects it with the ground, directly or through other
+        bodies: `build` refuses a body without a connection. A body that moves freely has a `free`
+        joint.
+
+        Examples
+        --------
+        >>> m = Mechanism("arm")
+        >>> print(m.body("forearm", mass=2.0, center=(0.1, 0, 0)).sentence)
+        forearm: a rigid body, 2 kg, centre of mass at (0.1, 0, 0) m
         """
         return self._add_body(checks.make_body(name, False, mass, center, where))
 
     def particle(self, name: str, mass: float | None = None, where: Where | None = None) -> Body:
         """Add a particle, a point mass without orientation, and return it.
 
-        Attach it by a prismatic, translation or free joint.
+        Parameters
+        ----------
+        name
+            Name, which no other body or frame has.
+        mass
+            Mass in kilograms, not negative (default: unknown).
+        where
+            Place in a file, for error messages; readers of files give it.
+
+        Returns
+        -------
+        Body
+            Record of the particle.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken or the mass is negative.
+
+        Notes
+        -----
+        A particle has 3 degrees of freedom in space and 2 in the plane. It is the child of a
+        prismatic, planar, translation, fixed or free joint, or of a product of slides, and has no
+        extent: joints and frames sit on its origin.
+
+        Examples
+        --------
+        >>> m = Mechanism("bead")
+        >>> _ = m.free("x", m.ground, m.particle("bead"))
+        >>> m.build().coordinate_names
+        ('x.x', 'x.y', 'x.z')
         """
         return self._add_body(checks.make_body(name, True, mass, None, where))
 
@@ -623,14 +555,66 @@ class Mechanism(ConstraintMethods):
         self,
         name: str,
         body: BodyLike,
-        at: object = (0.0, 0.0, 0.0),
+        at: PlaceLike = (0.0, 0.0, 0.0),
         where: Where | None = None,
-        **turn: Any,
+        *,
+        rpy: ValuesLike | None = None,
+        angle: ValueLike | None = None,
+        axis: AxisLike | None = None,
+        quat_wxyz: ValuesLike | None = None,
+        matrix: MatrixLike | None = None,
     ) -> Frame:
-        """Add a named frame to a body and return it.
+        """Add a named frame to a body and return it; `fk` and `ik` take its name.
 
-        `at`, `rpy`, `angle`, `axis`, `quat_wxyz` and `matrix` place the frame as in `place`.
+        Parameters
+        ----------
+        name
+            Name, which no other body or frame has.
+        body
+            Body that carries the frame, as a record or a name.
+        at
+            Origin of the frame in the axes of the body: 2 or 3 lengths in metres, which may be
+            expressions in parameters (default: the origin of the body). Also a pose (4, 4), a pose
+            in words such as ``{"at": (1, 0, 0), "rpy": (0, 0, 1)}``, a `Placement`, or the name of
+            another frame on the body; the orientation then turns the frame further.
+        where
+            Place in a file, for error messages; readers of files give it.
+        rpy
+            Roll, pitch and yaw: turns about the fixed axes x, y and z of the body, in this order,
+            in radians. They may be expressions. Give at most one of `rpy`, `angle`, `quat_wxyz` and
+            `matrix`.
+        angle
+            Turn about z in radians; may be an expression. The usual form in the plane.
+        axis
+            Direction of z of the frame, in the axes that the other keywords describe: numbers of
+            any length, or a name ("x", "-z"). z turns to it by the smallest rotation. The frame of
+            a mechanism in the plane has none: its z stays z.
+        quat_wxyz
+            Orientation as a unit quaternion, real part first; it is normalised, and may hold
+            expressions.
+        matrix
+            Orientation as a rotation matrix (3, 3).
+
+        Returns
+        -------
+        Frame
+            Record of the frame.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, there is no such body, frame or parameter, the orientation is
+            given twice, or the frame leaves the plane.
+
+        Examples
+        --------
+        >>> m = Mechanism("arm", dim=2)
+        >>> _ = m.revolute("q1", m.ground, m.body("link"))
+        >>> _ = m.parameter("l", 0.4)
+        >>> print(m.frame("tip", "link", at=("l", 0), angle=0.5).sentence)
+        tip: a frame on link, placed by x = l, rz = 0.5
         """
+        turn = make_turn(rpy, angle, axis, quat_wxyz, matrix)
         on = self._find_body(body, f"frame {name!r}", where)
         self._check_free_name(checks.check_name(name, "frame"), "frame", where)
         X_BF = self._make_placement(at, turn, f"frame {name!r}", where, on)
@@ -656,57 +640,76 @@ class Mechanism(ConstraintMethods):
         body: BodyLike | Frame,
         kind: str | Geometry,
         *,
-        radius: Value | str | None = None,
-        length: Value | str | None = None,
-        size: Sequence[Value | str] | None = None,
-        radii: Sequence[Value | str] | None = None,
+        radius: ValueLike | None = None,
+        length: ValueLike | None = None,
+        size: Sequence[ValueLike] | None = None,
+        radii: Sequence[ValueLike] | None = None,
         path: str | None = None,
-        scale: Value | Sequence[Value | str] | None = None,
-        at: object = (0.0, 0.0, 0.0),
-        roll: Value | str = 0.0,
-        pitch: Value | str = 0.0,
-        yaw: Value | str = 0.0,
+        scale: Value | Sequence[ValueLike] | None = None,
+        at: PlaceLike = (0.0, 0.0, 0.0),
+        roll: ValueLike = 0.0,
+        pitch: ValueLike = 0.0,
+        yaw: ValueLike = 0.0,
+        rpy: ValuesLike | None = None,
+        angle: ValueLike | None = None,
+        axis: AxisLike | None = None,
+        quat_wxyz: ValuesLike | None = None,
+        matrix: MatrixLike | None = None,
         visual: bool = True,
         collision: bool = True,
         color: Sequence[float] | None = None,
         name: str = "",
         where: Where | None = None,
-        **turn: Any,
     ) -> Shape:
         """Add a shape to a body, for drawings, for collisions, or for both, and return it.
 
         Parameters
         ----------
         body
-            The body, or a frame on it from which the place is measured.
+            Body, or a frame on it from which the place is measured, as a record or a name.
         kind
-            "sphere" (`radius`), "box" (`size`: x, y, z), "cylinder" and "capsule" (`radius`,
-            `length`; along z, and a capsule has a half ball beyond each end of its length),
-            "ellipsoid" (`radii` along x, y, z), "mesh" (`path` of the file, `scale`). Sizes are
-            metres, or expressions in parameters.
+            "sphere" (`radius`), "box" (`size`), "cylinder" and "capsule" (`radius`, `length`),
+            "ellipsoid" (`radii`), "mesh" (`path`, `scale`), or a `Geometry`.
+        radius
+            Radius of a sphere, cylinder or capsule in metres, or an expression in parameters.
+        length
+            Length of a cylinder or capsule along z in metres, or an expression. A capsule has a
+            half ball beyond each end of its length.
+        size
+            Extents of a box along x, y and z in metres, or expressions.
+        radii
+            Semi-axes of an ellipsoid along x, y and z in metres, or expressions.
+        path
+            File of a mesh.
+        scale
+            Factor of a mesh, or three factors along x, y and z (default: 1).
         at
-            Where the centre of the shape is, or the origin of the mesh: as in `frame`, also the
-            name of a frame on the body.
+            Centre of the shape, or origin of the mesh, in the axes of the body or frame: as `at` of
+            `frame` (default: the origin).
         roll, pitch, yaw
-            Turns about the fixed axes x, y and z of the body [rad]. `rpy`, `angle`, `axis`,
-            `quat_wxyz` and `matrix` are taken in their place, as in `frame`; `axis` is the
-            direction of the axis of a cylinder.
+            Turns about the fixed axes x, y and z of the body in radians (default: 0).
+        rpy, angle, axis, quat_wxyz, matrix
+            Orientation in other forms, as in `frame`; `axis` is the direction of the axis of a
+            cylinder or capsule.
         visual, collision
-            Whether it is drawn, and whether it is what collides.
+            Whether drawings show the shape, and whether it counts for collisions (default: both).
         color
-            Red, green, blue, and opacity, each from 0 to 1.
+            Red, green, blue, and opacity, each from 0 to 1 (default: the colour of drawings).
         name
-            A name for the reader of a file; no two calls need different ones.
+            Name for the reader of a file; shapes may share it.
+        where
+            Place in a file, for error messages; readers of files give it.
 
         Returns
         -------
         Shape
-            The record, which `mechanism.bodies[...].shapes` now holds.
+            Record of the shape, which the record of the body in `bodies` now holds in `shapes`.
 
         Raises
         ------
         DescriptionError
-            What is wrong, and what is allowed.
+            If a size is missing or wrong, there is no such body or parameter, the body is a
+            particle, or the shape is neither visual nor for collisions.
 
         Examples
         --------
@@ -726,12 +729,13 @@ class Mechanism(ConstraintMethods):
             self._check_parameters(made.names)
             made.evaluate_sizes(self.parameters)
             if any(x != 0.0 for x in (roll, pitch, yaw)):
-                if "rpy" in turn:
+                if rpy is not None:
                     raise InputError("orientation given twice, by rpy and roll, pitch, yaw")
-                turn = {**turn, "rpy": (roll, pitch, yaw)}
+                rpy = (roll, pitch, yaw)
             rgba = checks.check_color(color)
         except (InputError, UnknownNameError) as error:
             checks.raise_problem(subject, str(error), where)
+        turn = make_turn(rpy, angle, axis, quat_wxyz, matrix)
         end = _place_end(self, (body, at, turn), subject, where)
         on = self.bodies[end.body]
         if on.particle:
@@ -749,7 +753,39 @@ class Mechanism(ConstraintMethods):
         return shape
 
     def parameter(self, name: str, number: float) -> Expression:
-        """Add a named parameter, a length [m] or an angle [rad], and return it as a value."""
+        """Add a named parameter, a length or an angle, and return it as an expression.
+
+        Parameters
+        ----------
+        name
+            Name: an identifier that is no function or constant of expressions (`sin`, `pi`, ...).
+        number
+            Value in metres or radians, finite.
+
+        Returns
+        -------
+        Expression
+            The parameter, with which Python can calculate: ``l / 2 + 0.1`` is an expression, too.
+            Placements, lengths of rods and numbers of couplings take expressions, also as text.
+
+        Raises
+        ------
+        InputError
+            If the name is no identifier or is taken, or the number is not finite.
+
+        See Also
+        --------
+        System.with_parameters : the same system with other values.
+
+        Examples
+        --------
+        >>> m = Mechanism("arm", dim=2)
+        >>> length = m.parameter("l", 0.5)
+        >>> _ = m.revolute("q1", m.ground, m.body("link"))
+        >>> _ = m.frame("middle", "link", at=(length / 2, 0))
+        >>> float(m.build().with_parameters(l=0.8).fk([0.0], "middle")[0, 3])
+        0.4
+        """
         parsed = (
             read_value(name, "parameter name")
             if isinstance(name, str) and name.isidentifier()
@@ -772,35 +808,109 @@ class Mechanism(ConstraintMethods):
         kind: str | JointType,
         parent: BodyLike,
         child: BodyLike,
-        at: object = (0.0, 0.0, 0.0),
-        child_at: object = (0.0, 0.0, 0.0),
-        rpy: object = None,
-        angle: object = None,
-        axis: object = None,
-        child_rpy: object = None,
-        child_angle: object = None,
-        child_axis: object = None,
-        quat_wxyz: object = None,
-        matrix: object = None,
-        child_quat_wxyz: object = None,
-        child_matrix: object = None,
-        limits: object = None,
-        velocity: object = None,
-        effort: object = None,
+        at: PlaceLike = (0.0, 0.0, 0.0),
+        child_at: PlaceLike = (0.0, 0.0, 0.0),
+        rpy: ValuesLike | None = None,
+        angle: ValueLike | None = None,
+        axis: AxisLike | None = None,
+        child_rpy: ValuesLike | None = None,
+        child_angle: ValueLike | None = None,
+        child_axis: AxisLike | None = None,
+        quat_wxyz: ValuesLike | None = None,
+        matrix: MatrixLike | None = None,
+        child_quat_wxyz: ValuesLike | None = None,
+        child_matrix: MatrixLike | None = None,
+        limits: LimitsLike | None = None,
+        velocity: BoundsLike | None = None,
+        effort: BoundsLike | None = None,
         actuated: bool | None = None,
         cut: bool = False,
         where: Where | None = None,
-        **options: Any,
+        **options: object,
     ) -> Joint:
-        """Add a joint of type `kind` between any two bodies and return it.
+        """Add a joint of any type between two bodies and return it.
 
-        Frame F sits on the parent at `at`, turned by `rpy` (or `angle` about z, `quat_wxyz`,
-        `matrix`), and then so that its z is `axis`; frame M sits on the child at `child_at`
-        likewise, with `child_axis` = `axis` unless given. `at` can be the name of a frame on the
-        body, a pose (4, 4) or a `Placement`; `axis` numbers or a name ("x", "-z"). `limits` is
-        (lower, upper) in radians or metres, None where there is none, or a dict of such pairs by
-        coordinate ('rz', 'x', ...) for joints with several. Other keywords are the type's options
-        (`pitch`, `angles`). Errors: `DescriptionError` with what is wrong and what is allowed.
+        A joint connects frame F on the parent with frame M on the child. At q = 0 both coincide;
+        a revolute joint turns M about z of F, a prismatic joint moves M along z of F.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        kind
+            Type of the joint: "fixed", "revolute", "prismatic", "helical", "cylindrical",
+            "universal", "planar", "translation", "spherical", "free", a product of turns and slides
+            such as "P(x) R(z) R(y)", or a `JointType`.
+        parent, child
+            Two different bodies, as records or names. A second joint to a body closes a loop.
+        **options
+            Options of the type: `pitch` in metres per radian for "helical", `angles` for
+            "spherical" and "free".
+        at
+            Origin of frame F in the axes of the parent: 2 or 3 lengths in metres, which may be
+            expressions in parameters (default: the origin of the parent). Also a pose (4, 4), a
+            pose in words, a `Placement`, or the name of a frame on the parent.
+        child_at
+            Origin of frame M in the axes of the child, in the same forms (default: the origin of
+            the child).
+        rpy, child_rpy
+            Orientation of F, and of M, by roll, pitch and yaw: turns about the fixed axes x, y and
+            z of the body, in this order, in radians; may be expressions (default: the axes of the
+            body). Give at most one of `rpy`, `angle`, `quat_wxyz` and `matrix`.
+        angle, child_angle
+            Orientation of F, and of M, by a turn about z in radians; may be an expression.
+        axis, child_axis
+            Direction of z of F, and of M, in the axes that the other keywords describe: numbers of
+            any length, or a name such as "x" or "-z". `child_axis` is `axis` by default: where only
+            `axis` is given, the axes of both bodies are parallel at q = 0.
+        quat_wxyz, child_quat_wxyz
+            Orientation of F, and of M, as a unit quaternion, real part first.
+        matrix, child_matrix
+            Orientation of F, and of M, as a rotation matrix (3, 3).
+        limits
+            Lower and upper limit in radians or metres, with None for no limit; a dict of such pairs
+            by coordinate ("rz", "x", ...) for a joint with several (default: no limits). The
+            coordinates of a quaternion have none.
+        velocity
+            Largest speed in rad/s or m/s, or a dict by velocity coordinate (default: no limit).
+        effort
+            Largest torque in N m or force in N, likewise. It is kept for files only.
+        actuated
+            True if a motor drives the joint, False if it is passive, None if unknown (default).
+        cut
+            Leave the joint out of the spanning tree if it lies in a loop (default: False). `fk`
+            follows the tree, and solutions do not depend on the choice.
+        where
+            Place in a file, for error messages; readers of files give it.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, there is no such type, body, frame, parameter or coordinate, a
+            number is wrong, or the joint does not exist in the plane or between these bodies.
+
+        See Also
+        --------
+        Mechanism.couple : relate coordinates of joints.
+        Mechanism.constrain : constraints that are no joints.
+
+        Notes
+        -----
+        In the plane the axis of a revolute joint is z, and a prismatic joint needs an `axis` of two
+        numbers. In a system, a joint with one coordinate gives it its name; others have names such
+        as "joint.rz".
+
+        Examples
+        --------
+        >>> m = Mechanism("crane")
+        >>> _ = m.joint("arm", "P(z) R(z)", m.ground, m.body("boom"), limits={"z": (0, 2)})
+        >>> m.build().coordinate_names
+        ('arm.z', 'arm.rz')
         """
         subject = f"joint {name!r}"
         self._check_joint_name(checks.check_name(name, "joint"), subject, where)
@@ -824,15 +934,10 @@ class Mechanism(ConstraintMethods):
                 "it must connect two bodies",
             )
         checks.check_joint_type(self.dim, subject, type_, on, to, where)
-        turn = {"rpy": rpy, "angle": angle, "axis": axis, "quat_wxyz": quat_wxyz, "matrix": matrix}
+        turn = make_turn(rpy, angle, axis, quat_wxyz, matrix)
         X_PF = self._make_placement(at, turn, subject, where, on)
-        turn = {
-            "rpy": child_rpy,
-            "angle": child_angle,
-            "axis": axis if child_axis is None else child_axis,
-            "quat_wxyz": child_quat_wxyz,
-            "matrix": child_matrix,
-        }
+        z = axis if child_axis is None else child_axis
+        turn = make_turn(child_rpy, child_angle, z, child_quat_wxyz, child_matrix)
         X_CM = self._make_placement(child_at, turn, subject, where, to)
         checks.check_joint_frames(self.dim, subject, type_, X_PF, X_CM, to, where)
         names = type_.list_velocity_names(self.dim, to.particle)
@@ -854,70 +959,524 @@ class Mechanism(ConstraintMethods):
         )
         return self.joints[name]
 
-    def fixed(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a joint that does not move; keywords as in `joint`."""
+    @show_joint_keywords(joint)
+    def fixed(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a joint that holds the child on the parent and return it.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+        """
         return self.joint(name, "fixed", parent, child, **keywords)
 
-    def revolute(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a revolute joint about z of its frame F (or `axis`); keywords as in `joint`."""
+    @show_joint_keywords(joint)
+    def revolute(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a revolute joint, a hinge, and return it.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The joint has one coordinate, the angle of M about z of F in radians. z is `axis` where it
+        is given. In the plane the axis is z.
+
+        Examples
+        --------
+        >>> m = Mechanism("door")
+        >>> _ = m.revolute("hinge", m.ground, m.body("door"), at=(1, 0, 0), limits=(0, 1.5))
+        >>> door = m.build()
+        >>> door.coordinate_names, door.upper
+        (('hinge',), array([1.5]))
+        """
         return self.joint(name, "revolute", parent, child, **keywords)
 
-    def prismatic(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a prismatic joint along z of its frame F (or `axis`); keywords as in `joint`."""
+    @show_joint_keywords(joint)
+    def prismatic(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a prismatic joint, a slider, and return it.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The joint has one coordinate, the distance of M along z of F in metres. z is `axis` where it
+        is given; a mechanism in the plane needs an `axis`.
+
+        Examples
+        --------
+        >>> m = Mechanism("press", dim=2)
+        >>> _ = m.prismatic("stroke", m.ground, m.body("ram"), axis=(0, 1), limits=(0, 0.3))
+        >>> m.build().fk([0.2], "ram")[:3, 3]
+        array([0. , 0.2, 0. ])
+        """
         return self.joint(name, "prismatic", parent, child, **keywords)
 
+    @show_joint_keywords(joint)
     def helical(
-        self, name: str, parent: BodyLike, child: BodyLike, pitch: float, **keywords: Any
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        pitch: float,
+        **keywords: Unpack[JointKeywords],
     ) -> Joint:
-        """Add a helical (screw) joint about z with `pitch` in m/rad; keywords as in `joint`."""
+        """Add a helical joint, a screw, and return it.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+        pitch
+            Advance along z in metres per radian.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The joint has one coordinate, the angle of M about z of F in radians; M moves along z by
+        `pitch` times the angle (Lynch and Park, Modern Robotics, 2017, section 2.2). It does not
+        exist in the plane.
+
+        Examples
+        --------
+        >>> m = Mechanism("vice")
+        >>> _ = m.helical("screw", m.ground, m.body("jaw"), pitch=0.002)
+        >>> float(m.build().fk([10.0], "jaw")[2, 3])
+        0.02
+        """
         return self.joint(name, "helical", parent, child, pitch=pitch, **keywords)
 
-    def cylindrical(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a cylindrical joint: rotation about z, translation along z; keywords as in `joint`."""
+    @show_joint_keywords(joint)
+    def cylindrical(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a cylindrical joint, a sleeve on a shaft, and return it.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The joint has two coordinates: the angle "rz" about z of F in radians, and the distance "z"
+        along it in metres. It does not exist in the plane.
+
+        Examples
+        --------
+        >>> m = Mechanism("sleeve")
+        >>> _ = m.cylindrical("C", m.ground, m.body("sleeve"), limits={"z": (0, 0.5)})
+        >>> m.build().coordinate_names
+        ('C.rz', 'C.z')
+        """
         return self.joint(name, "cylindrical", parent, child, **keywords)
 
-    def universal(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a universal joint: rotation about x of F, then about y of M; keywords as in `joint`."""
+    @show_joint_keywords(joint)
+    def universal(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a universal (Cardan) joint and return it.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The joint has two coordinates in radians: the turn "rx" about x of F, then the turn "ry"
+        about y of the cross, which is y of M. It does not exist in the plane.
+
+        Examples
+        --------
+        >>> m = Mechanism("shaft")
+        >>> _ = m.universal("U", m.ground, m.body("shaft"))
+        >>> m.build().coordinate_names
+        ('U.rx', 'U.ry')
+        """
         return self.joint(name, "universal", parent, child, **keywords)
 
-    def planar(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a planar joint: translation along x and y, rotation about z; keywords as in `joint`."""
+    @show_joint_keywords(joint)
+    def planar(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a planar joint, a block on a table, and return it.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The joint has three coordinates: the distances "x" and "y" along x and y of F in metres,
+        then the turn "rz" about z in radians. A particle has no "rz".
+
+        Examples
+        --------
+        >>> m = Mechanism("car", dim=2)
+        >>> _ = m.planar("pose", m.ground, m.body("car"))
+        >>> m.build().coordinate_names
+        ('pose.x', 'pose.y', 'pose.rz')
+        """
         return self.joint(name, "planar", parent, child, **keywords)
 
-    def translation(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a joint that only translates, along x, y, z (in the plane x, y).
+    @show_joint_keywords(joint)
+    def translation(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a joint that only translates and return it.
 
-        Keywords as in `joint`.
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The joint has the coordinates "x", "y" and, in space, "z": distances along the axes of F in
+        metres. The orientation of the child stays that at q = 0.
+
+        Examples
+        --------
+        >>> m = Mechanism("gantry")
+        >>> _ = m.translation("T", m.ground, m.body("head"))
+        >>> m.build().coordinate_names
+        ('T.x', 'T.y', 'T.z')
         """
         return self.joint(name, "translation", parent, child, **keywords)
 
-    def spherical(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a ball joint; keywords as in `joint`.
+    @show_joint_keywords(joint)
+    def spherical(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        *,
+        angles: bool = False,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a spherical joint, a ball, and return it.
 
-        Its coordinates are a quaternion or, with `angles=True`, three angles.
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+        angles
+            Use three angles "rz", "ry", "rx" about z, y' and x'' in radians as coordinates, in
+            place of a unit quaternion "qw", "qx", "qy", "qz" (default: False). Angles can have
+            limits, and are singular at ry = 90 and -90 degrees.
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The velocity coordinates of a quaternion are the angular velocities "wx", "wy" and "wz"
+        about the axes of M. The joint does not exist in the plane.
+
+        Examples
+        --------
+        >>> m = Mechanism("shoulder")
+        >>> _ = m.spherical("S", m.ground, m.body("arm"))
+        >>> m.build().neutral
+        array([1., 0., 0., 0.])
         """
-        return self.joint(name, "spherical", parent, child, **keywords)
+        return self.joint(name, "spherical", parent, child, angles=angles, **keywords)
 
-    def free(self, name: str, parent: BodyLike, child: BodyLike, **keywords: Any) -> Joint:
-        """Add a joint that allows all motions; its coordinates are the child's pose.
+    @show_joint_keywords(joint)
+    def free(
+        self,
+        name: str,
+        parent: BodyLike,
+        child: BodyLike,
+        *,
+        angles: bool = False,
+        **keywords: Unpack[JointKeywords],
+    ) -> Joint:
+        """Add a joint that allows all motions and return it.
 
-        Keywords as in `joint`.
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        parent, child
+            Two different bodies, as records or names. Frame F of the joint sits on the parent,
+            frame M on the child.
+        angles
+            Use three angles "rz", "ry", "rx" about z, y' and x'' in radians as coordinates of the
+            orientation, in place of a unit quaternion (default: False).
+
+        Returns
+        -------
+        Joint
+            Record of the joint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        Mechanism.joint : joints of all types.
+
+        Notes
+        -----
+        The coordinates are the pose of M in F: in space "x", "y", "z" in metres and the quaternion
+        "qw", "qx", "qy", "qz"; in the plane "x", "y" and the angle "rz"; for a particle its
+        position.
+
+        Examples
+        --------
+        >>> m = Mechanism("drone")
+        >>> _ = m.free("pose", m.ground, m.body("drone"))
+        >>> m.build().neutral
+        array([0., 0., 0., 1., 0., 0., 0.])
         """
-        return self.joint(name, "free", parent, child, **keywords)
+        return self.joint(name, "free", parent, child, angles=angles, **keywords)
 
     # ---- relations between coordinates
 
     def couple(
         self,
         of: str,
-        sources: Mapping[str, Value | str],
-        offset: Value | str = 0.0,
+        sources: Mapping[str, ValueLike],
+        offset: ValueLike = 0.0,
         where: Where | None = None,
     ) -> Coupling:
         """Add a linear relation: coordinate `of` = sum of multiplier * source + `offset`.
 
-        With one source it is a mimic or a gear and `of` leaves the configuration; with several it
-        is a constraint.
+        Parameters
+        ----------
+        of
+            Name of the coordinate that follows: the name of a joint with one coordinate, or such as
+            "joint.rz".
+        sources
+            Multiplier by name of the coordinate that is followed; may be expressions in parameters.
+        offset
+            Value of `of` where all sources are 0, in radians or metres; may be an expression.
+        where
+            Place in a file, for error messages; readers of files give it.
+
+        Returns
+        -------
+        Coupling
+            Record of the relation.
+
+        Raises
+        ------
+        DescriptionError
+            If the coordinate follows others already, or `sources` is empty or no dict. Names are
+            checked by `build`.
+
+        See Also
+        --------
+        Mechanism.gear : the relation with one source.
+        Mechanism.equation : relations that are not linear.
+
+        Notes
+        -----
+        With one source (a gear or a mimic joint), `of` leaves the configuration, and its limits
+        become limits of the source. With several (a differential), the relation is a constraint.
+
+        Examples
+        --------
+        >>> m = Mechanism("differential")
+        >>> for name in ("left", "right", "cage"):
+        ...     _ = m.revolute(name, m.ground, m.body(f"{name} wheel"))
+        >>> print(m.couple("cage", {"left": 0.5, "right": 0.5}).sentence)
+        cage = 0.5 left + 0.5 right
+        >>> m.build().mobility().dof
+        2
         """
         of = str(of)
         subject = f"coupling of {of!r}"
@@ -939,14 +1498,69 @@ class Mechanism(ConstraintMethods):
             checks.raise_problem(subject, str(error), where)
         return self.couplings[of]
 
-    def gear(
-        self, driven: str, driver: str, ratio: Value | str, offset: Value | str = 0.0
-    ) -> Coupling:
-        """Add a gear between two coordinates: driven = ratio * driver + offset."""
+    def gear(self, driven: str, driver: str, ratio: ValueLike, offset: ValueLike = 0.0) -> Coupling:
+        """Add a gear between two coordinates: driven = ratio * driver + offset.
+
+        Parameters
+        ----------
+        driven
+            Name of the coordinate that follows. It leaves the configuration.
+        driver
+            Name of the coordinate that is followed.
+        ratio
+            Multiplier; may be an expression in parameters. Negative for an external gear pair.
+        offset
+            Value of `driven` where `driver` is 0, in radians or metres; may be an expression.
+
+        Returns
+        -------
+        Coupling
+            Record of the relation.
+
+        Raises
+        ------
+        DescriptionError
+            If `driven` follows other coordinates already. Names are checked by `build`.
+
+        See Also
+        --------
+        Mechanism.couple : relations with several sources.
+
+        Examples
+        --------
+        >>> m = Mechanism("gears", dim=2)
+        >>> _ = m.revolute("A", m.ground, m.body("small"))
+        >>> _ = m.revolute("B", m.ground, m.body("large"), at=(0.3, 0), limits=(-1, 1))
+        >>> _ = m.gear("B", "A", ratio=-0.5)
+        >>> system = m.build()
+        >>> system.coordinate_names, system.upper
+        (('A',), array([2.]))
+        """
         return self.couple(driven, {driver: ratio}, offset)
 
     def posture(self, name: str, coordinates: Mapping[str, float]) -> None:
-        """Declare a named posture: values of some coordinates by name; the others are neutral."""
+        """Declare a named posture, which verbs take as a start.
+
+        Parameters
+        ----------
+        name
+            Name of the posture.
+        coordinates
+            Values by coordinate name in radians or metres. Other coordinates are neutral.
+
+        Raises
+        ------
+        InputError
+            If the name is taken, or a value is no finite number.
+
+        Examples
+        --------
+        >>> m = Mechanism("arm", dim=2)
+        >>> _ = m.revolute("q1", m.ground, m.body("link"))
+        >>> m.posture("home", {"q1": 0.5})
+        >>> m.build().q("home")
+        array([0.5])
+        """
         if name in self.postures:
             raise InputError(f"posture {name!r} exists already")
         self.postures[name] = checks.check_numbers(coordinates, f"posture {name!r}")
@@ -954,7 +1568,28 @@ class Mechanism(ConstraintMethods):
     def group(self, name: str, joints: Iterable[str]) -> None:
         """Declare a named group of joints, from which `System.group` makes a system.
 
-        Errors: `UnknownNameError`; `InputError` where the name is taken.
+        Parameters
+        ----------
+        name
+            Name of the group.
+        joints
+            Names of its joints.
+
+        Raises
+        ------
+        InputError
+            If the name is taken.
+        UnknownNameError
+            If there is no such joint.
+
+        Examples
+        --------
+        >>> m = Mechanism("two arms")
+        >>> for side in ("left", "right"):
+        ...     _ = m.revolute(side, m.ground, m.body(f"{side} arm"))
+        >>> m.group("left arm", ["left"])
+        >>> m.build().group("left arm").coordinate_names
+        ('left',)
         """
         if checks.check_name(name, "group") in self.groups:
             raise InputError(f"group {name!r} exists already")
@@ -967,7 +1602,17 @@ class Mechanism(ConstraintMethods):
     def ignore_pair(self, a: BodyLike, b: BodyLike, reason: str = "") -> None:
         """Exclude a pair of bodies from the checks for collisions.
 
-        Errors: `DescriptionError` for unknown bodies.
+        Parameters
+        ----------
+        a, b
+            Two different bodies, as records or names.
+        reason
+            Reason for the reader of a file, such as "Adjacent".
+
+        Raises
+        ------
+        DescriptionError
+            If there is no such body, or both are one.
         """
         subject = "ignored pair"
         names = {self._find_body(body, subject, None).name for body in (a, b)}
@@ -979,9 +1624,544 @@ class Mechanism(ConstraintMethods):
         self.ignored_pairs[pair] = str(reason)  # type: ignore[index]
 
     def lock(self, coordinates: Mapping[str, float]) -> Mechanism:
-        """Fix coordinates at given values, remove them from q, and return the mechanism."""
+        """Fix coordinates at given values and remove them from the configuration.
+
+        Parameters
+        ----------
+        coordinates
+            Values by coordinate name in radians or metres. A second value replaces the first.
+
+        Returns
+        -------
+        Mechanism
+            The mechanism itself.
+
+        Raises
+        ------
+        InputError
+            If a value is no finite number. Names and limits are checked by `build`.
+
+        See Also
+        --------
+        System.lock : a system with locked coordinates.
+
+        Examples
+        --------
+        >>> m = Mechanism("arm", dim=2)
+        >>> _ = m.revolute("q1", m.ground, m.body("upper"))
+        >>> _ = m.revolute("q2", "upper", m.body("lower"), at=(0.5, 0))
+        >>> m.lock({"q2": 0.3}).build().coordinate_names
+        ('q1',)
+        """
         self.locks |= checks.check_numbers(coordinates, "lock")
         return self
+
+    # ---- constraints that are no joints
+
+    def constrain(
+        self, constraint: Constraint, name: str = "", where: Where | None = None
+    ) -> Declared:
+        """Add a constraint of `kempe.constraints` that the mechanism always satisfies.
+
+        Parameters
+        ----------
+        constraint
+            Constraint between frames or bodies of the mechanism, or on its coordinates. Its numbers
+            may be expressions in parameters.
+        name
+            Name, which no other joint or constraint has (default: a description of the constraint).
+        where
+            Place in a file, for error messages; readers of files give it.
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If there is no such frame, body or parameter, a number is wrong, or the constraint has a
+            `weight`, `priority` or `tolerance`, which are for tasks of `ik`.
+
+        Notes
+        -----
+        A constraint is no connection: each body needs a joint besides, a `free` joint where nothing
+        else holds the body.
+
+        Examples
+        --------
+        >>> from kempe.constraints import Distance
+        >>> m = Mechanism("bead on a rod")
+        >>> _ = m.free("x", m.ground, m.particle("bead"))
+        >>> print(m.constrain(Distance("bead", "ground", 0.3), name="rod").sentence)
+        rod: bead and ground are 0.3 m apart
+        >>> m.build().mobility().dof
+        2
+        """
+        return declare_constraint(self, constraint, name, where)
+
+    def distance(
+        self,
+        name: str,
+        a: BodyLike | Frame,
+        b: BodyLike | Frame,
+        length: ValueLike,
+        at: PlaceLike = (0.0, 0.0, 0.0),
+        child_at: PlaceLike = (0.0, 0.0, 0.0),
+        where: Where | None = None,
+    ) -> Declared:
+        """Add a rod of constant length between a point of body `a` and a point of body `b`.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        a, b
+            Two bodies or frames, as records or names.
+        length
+            Length of the rod in metres, above 0; may be an expression in parameters.
+        at
+            Point in the axes of `a`: 2 or 3 lengths in metres, which may be expressions in
+            parameters, or the name of a frame on `a` (default: the origin of `a`).
+        child_at
+            Point in the axes of `b`, likewise (default: the origin of `b`).
+        where
+            Place in a file, for error messages; readers of files give it.
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the length is not above 0, or a body, frame, parameter or number is wrong.
+
+        See Also
+        --------
+        kempe.constraints.Distance : the same constraint, also with bounds.
+
+        Notes
+        -----
+        Both ends are ball hinges; the rod has no body and takes away one degree of freedom. It is
+        no connection: both bodies need joints besides.
+
+        Examples
+        --------
+        >>> m = Mechanism("crank, rod and slider", dim=2)
+        >>> _ = m.revolute("A", m.ground, m.body("crank"))
+        >>> _ = m.prismatic("S", m.ground, m.body("slider"), axis="x")
+        >>> _ = m.distance("rod", "crank", "slider", 3.0, at=(1, 0))
+        >>> m.build().mobility().dof
+        1
+        """
+        return declare_placed_constraint(
+            self, name, "distance", (a, at, {}), (b, child_at, {}), length, where
+        )
+
+    def point_on_line(
+        self,
+        name: str,
+        a: BodyLike | Frame,
+        b: BodyLike | Frame,
+        at: PlaceLike = (0.0, 0.0, 0.0),
+        child_at: PlaceLike = (0.0, 0.0, 0.0),
+        where: Where | None = None,
+        *,
+        rpy: ValuesLike | None = None,
+        angle: ValueLike | None = None,
+        axis: AxisLike | None = None,
+        quat_wxyz: ValuesLike | None = None,
+        matrix: MatrixLike | None = None,
+    ) -> Declared:
+        """Keep a point of body `b` on a line of body `a`.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        a, b
+            Two bodies or frames, as records or names.
+        at
+            Point of the line in the axes of `a`: 2 or 3 lengths in metres, which may be expressions in
+            parameters, or the name of a frame on `a` (default: the origin of `a`).
+        child_at
+            Point in the axes of `b`, likewise (default: the origin of `b`).
+        where
+            Place in a file, for error messages; readers of files give it.
+        rpy, angle, axis, quat_wxyz, matrix
+            Orientation of the line, as in `frame`: its direction is z of the frame that they
+            describe, or `axis`.
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        Notes
+        -----
+        The line takes away 2 degrees of freedom, in the plane 1; there it needs an `axis` of two
+        numbers.
+
+        Examples
+        --------
+        >>> m = Mechanism("slider", dim=2)
+        >>> _ = m.planar("pose", m.ground, m.body("block"))
+        >>> _ = m.point_on_line("slot", m.ground, "block", axis=(1, 0))
+        >>> m.build().mobility().dof
+        2
+        """
+        turn = make_turn(rpy, angle, axis, quat_wxyz, matrix)
+        return declare_placed_constraint(
+            self, name, "point_on_line", (a, at, turn), (b, child_at, {}), None, where
+        )
+
+    def point_on_plane(
+        self,
+        name: str,
+        a: BodyLike | Frame,
+        b: BodyLike | Frame,
+        at: PlaceLike = (0.0, 0.0, 0.0),
+        child_at: PlaceLike = (0.0, 0.0, 0.0),
+        where: Where | None = None,
+        *,
+        rpy: ValuesLike | None = None,
+        angle: ValueLike | None = None,
+        axis: AxisLike | None = None,
+        quat_wxyz: ValuesLike | None = None,
+        matrix: MatrixLike | None = None,
+    ) -> Declared:
+        """Keep a point of body `b` in a plane of body `a`.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        a, b
+            Two bodies or frames, as records or names.
+        at
+            Point of the plane in the axes of `a`: 2 or 3 lengths in metres, which may be expressions in
+            parameters, or the name of a frame on `a` (default: the origin of `a`).
+        child_at
+            Point in the axes of `b`, likewise (default: the origin of `b`).
+        where
+            Place in a file, for error messages; readers of files give it.
+        rpy, angle, axis, quat_wxyz, matrix
+            Orientation of the plane, as in `frame`: its normal is z of the frame that they
+            describe, or `axis`.
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a body, frame, parameter or number is wrong.
+
+        Notes
+        -----
+        The plane takes away 1 degree of freedom. The constraint does not exist in the plane.
+
+        Examples
+        --------
+        >>> m = Mechanism("stool")
+        >>> _ = m.free("pose", m.ground, m.body("stool"))
+        >>> for k, foot in enumerate([(0, 0, 0), (1, 0, 0), (0, 1, 0)]):
+        ...     _ = m.point_on_plane(f"foot {k}", m.ground, "stool", child_at=foot)
+        >>> m.build().mobility().dof
+        3
+        """
+        turn = make_turn(rpy, angle, axis, quat_wxyz, matrix)
+        return declare_placed_constraint(
+            self, name, "point_on_plane", (a, at, turn), (b, child_at, {}), None, where
+        )
+
+    def no_sideslip(self, name: str, frame: BodyLike | Frame, speed: ValueLike = 0.0) -> Declared:
+        """Prescribe the velocity of a frame's origin along its y axis, as a wheel with axle y does.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        frame
+            Body or frame, as a record or a name. Its x axis is the direction of rolling.
+        speed
+            Velocity along y in m/s (default: 0); may be an expression in parameters.
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or there is no such frame.
+
+        See Also
+        --------
+        Mechanism.rolls : a wheel with its radius and angle.
+        System.classify : which constraints are nonholonomic.
+
+        Examples
+        --------
+        >>> car = Mechanism("car", dim=2)
+        >>> _ = car.planar("pose", car.ground, car.body("body"))
+        >>> _ = car.no_sideslip("rear axle", "body")
+        >>> car.build().classify().constraints["rear axle"].kind
+        'nonholonomic'
+        """
+        return self.constrain(constraints.NoSideslip(str(frame), speed=speed), name)
+
+    def rolls(
+        self,
+        name: str,
+        frame: BodyLike | Frame,
+        radius: ValueLike,
+        on: BodyLike | Frame | None = None,
+        shape: str = "ball",
+        spin: bool = True,
+        one_sided: bool = False,
+    ) -> Declared:
+        """Let a ball or disc roll without slipping on the xy-plane of a frame.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        frame
+            Body or frame whose origin is the centre of the ball or disc, as a record or a name.
+        radius
+            Radius in metres, above 0; may be an expression in parameters.
+        on
+            Body or frame whose xy-plane carries it (default: the ground).
+        shape
+            "ball" or "disc"; the axle of a disc is y of its frame.
+        spin
+            Whether it may turn about the normal of the plane (default: True).
+        one_sided
+            Whether it may leave the plane upwards (default: False).
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, there is no such frame, or a number or word is wrong.
+
+        See Also
+        --------
+        Mechanism.contact : contact without rolling.
+
+        Examples
+        --------
+        >>> coin = Mechanism("coin")
+        >>> _ = coin.free("pose", coin.ground, coin.body("coin"))
+        >>> _ = coin.rolls("floor", "coin", radius=0.1, shape="disc")
+        >>> coin.build().classify().velocity_dof
+        3
+        """
+        other = None if on is None else str(on)
+        return self.constrain(
+            constraints.Rolls(str(frame), other, radius, shape, spin, one_sided), name
+        )
+
+    def contact(
+        self,
+        name: str,
+        frame: BodyLike | Frame,
+        on: BodyLike | Frame | None = None,
+        radius: ValueLike = 0.0,
+        shape: str = "ball",
+    ) -> Declared:
+        """Keep a point, ball or disc on or above the xy-plane of a frame.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        frame
+            Body or frame whose origin is the point, or the centre of the ball or disc.
+        on
+            Body or frame whose xy-plane bounds the motion (default: the ground).
+        radius
+            Radius in metres (default: 0, a point); may be an expression in parameters.
+        shape
+            "ball" or "disc"; the axle of a disc is y of its frame.
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, there is no such frame, or a number or word is wrong.
+
+        See Also
+        --------
+        Mechanism.rolls : rolling without slipping.
+
+        Examples
+        --------
+        >>> m = Mechanism("bead")
+        >>> _ = m.free("x", m.ground, m.particle("bead"))
+        >>> print(m.contact("floor", "bead").sentence)
+        floor: bead stays above the plane of the ground
+        """
+        return self.constrain(
+            constraints.Contact(str(frame), None if on is None else str(on), radius, shape), name
+        )
+
+    def equation(
+        self,
+        name: str,
+        expression: str | Sequence[str] | Callable[..., object],
+        of: Sequence[str] = (),
+        time: bool = False,
+    ) -> Declared:
+        """Add an equation f = 0 of coordinates, or several.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        expression
+            Text such as ``"A = 2*B"``, several texts, or a function. Text finds its coordinates
+            itself; other names are parameters. A function is called with a mapping from the names
+            in `of` to numbers, and returns one number or several.
+        of
+            Names of the coordinates of a function.
+        time
+            Call the function also with the time t in seconds (default: False).
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or the text cannot be read. Names are checked by `build`.
+
+        See Also
+        --------
+        kempe.constraints.Equation : the same constraint for `ik`.
+        Mechanism.couple : linear relations.
+
+        Examples
+        --------
+        >>> m = Mechanism("arm", dim=2)
+        >>> _ = m.revolute("A", m.ground, m.body("upper"))
+        >>> _ = m.revolute("B", "upper", m.body("lower"), at=(0.5, 0))
+        >>> print(m.equation("law", lambda x: x["A"] - 2 * x["B"], of=("A", "B")).sentence)
+        law: A - 2*B = 0
+        >>> m.build().mobility().dof
+        1
+        """
+        return self.constrain(constraints.Equation(expression, of, time, name=name), name)
+
+    def inequality(
+        self,
+        name: str,
+        expression: str | Sequence[str] | Callable[..., object],
+        of: Sequence[str] = (),
+        time: bool = False,
+    ) -> Declared:
+        """Add an inequality f >= 0 of coordinates, or several.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        expression
+            Text such as ``"1.2 - A"`` for A <= 1.2, several texts, or a function, as in `equation`.
+        of
+            Names of the coordinates of a function.
+        time
+            Call the function also with the time t in seconds (default: False).
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or the text cannot be read. Names are checked by `build`.
+
+        See Also
+        --------
+        Mechanism.equation : equations.
+
+        Examples
+        --------
+        >>> m = Mechanism("arm", dim=2)
+        >>> _ = m.revolute("A", m.ground, m.body("link"))
+        >>> print(m.inequality("stop", "1.2 - A").sentence)
+        stop: 1.2 - A >= 0
+        """
+        return self.constrain(constraints.Inequality(expression, of, time, name=name), name)
+
+    def velocity_equation(
+        self,
+        name: str,
+        matrix: Sequence[Sequence[float | str]] | Callable[..., object],
+        of: Sequence[str],
+        b: float | str | Sequence[float | str] | Callable[..., object] = 0,
+        time: bool = False,
+    ) -> Declared:
+        """Add equations A(q) v = b(q, t) of the velocities of coordinates.
+
+        Parameters
+        ----------
+        name
+            Name, which no other joint or constraint has.
+        matrix
+            Rows of A: numbers and texts, one for each coordinate of `of`, or a function that
+            returns rows. A function is called as in `equation`.
+        of
+            Names of the coordinates whose velocities are v.
+        b
+            Right side: a number or text, one for each row, or a function (default: 0).
+        time
+            Call functions also with the time t in seconds (default: False).
+
+        Returns
+        -------
+        Declared
+            Record of the constraint.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a text cannot be read. Names are checked by `build`.
+
+        Examples
+        --------
+        >>> skate = Mechanism("skate", dim=2)
+        >>> _ = skate.planar("p", skate.ground, skate.body("blade"))
+        >>> rows = [["sin(p.rz)", "-cos(p.rz)", 0]]
+        >>> _ = skate.velocity_equation("edge", rows, of=("p.x", "p.y", "p.rz"))
+        >>> skate.build().classify().velocity_dof
+        2
+        """
+        return self.constrain(constraints.VelocityEquation(matrix, of, b, time, name=name), name)
 
     # ---- composition
 
@@ -990,21 +2170,96 @@ class Mechanism(ConstraintMethods):
         other: Mechanism | System,
         to: BodyLike | Frame | None = None,
         prefix: str = "",
-        **placement: Any,
+        *,
+        at: PlaceLike | None = None,
+        rpy: ValuesLike | None = None,
+        angle: ValueLike | None = None,
+        axis: AxisLike | None = None,
+        quat_wxyz: ValuesLike | None = None,
+        matrix: MatrixLike | None = None,
     ) -> Mechanism:
-        """Mount a copy of `other` on a body or frame by a fixed joint; return the mechanism.
+        """Mount a copy of another mechanism on a body or frame by a fixed joint.
 
-        All names of `other` get the `prefix`; its ground becomes a body, held at `at`, `rpy`, ...
-        of `to` by the joint ``<prefix><ground>_mount``. Parameters of the same name and value are
-        shared.
+        Parameters
+        ----------
+        other
+            Mechanism, or system of one, of the same `dim`.
+        to
+            Body or frame that carries it, as a record or a name (default: the ground).
+        prefix
+            Text before all names of `other`, parameters excepted. Its ground becomes a body, held
+            by the joint ``<prefix><ground>_mount``.
+        at
+            Place of the ground of `other` in the axes of the body, as in `frame` (default: its
+            origin). With a frame as `to` give no `at`.
+        rpy, angle, axis, quat_wxyz, matrix
+            Orientation of the ground of `other`, as in `frame`.
+
+        Returns
+        -------
+        Mechanism
+            The mechanism itself.
+
+        Raises
+        ------
+        InputError
+            If the dimensions differ, or a parameter has two values.
+        DescriptionError
+            If both mechanisms have a name.
+        UnknownNameError
+            If there is no such body or frame.
+
+        Notes
+        -----
+        Parameters of the same name and value are shared.
+
+        Examples
+        --------
+        >>> finger = Mechanism("finger", dim=2, ground="palm")
+        >>> _ = finger.revolute("bend", "palm", finger.body("tip"))
+        >>> hand = Mechanism("hand", dim=2)
+        >>> _ = hand.attach(finger, prefix="left_", at=(-0.1, 0))
+        >>> _ = hand.attach(finger, prefix="right_", at=(0.1, 0))
+        >>> hand.build().coordinate_names
+        ('left_bend', 'right_bend')
         """
-
+        turn = make_turn(rpy, angle, axis, quat_wxyz, matrix)
+        placement = {k: x for k, x in {"at": at, **turn}.items() if x is not None}
         attach_mechanism(self, _get_mechanism(other), to, prefix, placement)
         return self
 
     def subchain(self, base: BodyLike, tip: BodyLike | Frame) -> Mechanism:
-        """Return a mechanism of the bodies and joints between `base`, its new ground, and `tip`."""
+        """Return the mechanism of the shortest path of joints between two bodies.
 
+        Parameters
+        ----------
+        base
+            Body that becomes the ground.
+        tip
+            Body or frame at the other end.
+
+        Returns
+        -------
+        Mechanism
+            Bodies and joints of the path, with the frames on them and the constraints, couplings
+            and locks among them.
+
+        Raises
+        ------
+        UnknownNameError
+            If there is no such body or frame.
+        DescriptionError
+            If no joints lead from `base` to `tip`, or a coordinate of the path follows a free
+            coordinate outside, without which the path would move differently.
+
+        Examples
+        --------
+        >>> arm = Mechanism("arm", dim=2)
+        >>> _ = arm.revolute("q1", arm.ground, arm.body("upper"))
+        >>> _ = arm.revolute("q2", "upper", arm.body("lower"), at=(0.5, 0))
+        >>> arm.subchain("upper", "lower").build().coordinate_names
+        ('q2',)
+        """
         return extract_subchain(self, str(base), str(tip))
 
     def copy(self) -> Mechanism:
@@ -1036,9 +2291,25 @@ class Mechanism(ConstraintMethods):
             raise_missing_member(self, name, said)
 
     def build(self) -> System:
-        """Return the compiled `System`.
+        """Return the compiled `System`, which computes.
 
-        Errors: `DescriptionError` that names the parts that do not fit together.
+        Returns
+        -------
+        System
+            The system. Later changes of the mechanism do not change it.
+
+        Raises
+        ------
+        DescriptionError
+            If the parts do not fit together: a body without a connection to the ground, an unknown
+            coordinate in a coupling, lock, posture or equation, or couplings in a circle.
+
+        Examples
+        --------
+        >>> m = Mechanism("door")
+        >>> _ = m.revolute("hinge", m.ground, m.body("door"))
+        >>> m.build()
+        System('door', bodies=1, joints=1, nq=1)
         """
         with pause_garbage_collection(len(self.bodies)):
             return import_late_member("System")(self)
@@ -1046,7 +2317,36 @@ class Mechanism(ConstraintMethods):
     def save(self, path: str | Path) -> Path:
         """Write the mechanism to a file and return the path.
 
-        The ending of the name chooses the format (.toml holds everything).
+        Parameters
+        ----------
+        path
+            Name of the file. Its ending chooses the format: .toml (holds everything), .urdf, .sdf
+            or .world (SDF).
+
+        Returns
+        -------
+        Path
+            The path.
+
+        Raises
+        ------
+        InputError
+            If the ending is another.
+        DescriptionError
+            If the format cannot hold a part of the mechanism; the message names each part.
+
+        See Also
+        --------
+        kempe.read : read the file again.
+
+        Examples
+        --------
+        >>> import pathlib, tempfile
+        >>> m = Mechanism("door")
+        >>> _ = m.revolute("hinge", m.ground, m.body("door"))
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     m.save(pathlib.Path(folder) / "door.toml").name
+        'door.toml'
         """
         return import_late_member("write")(self, path)
 
@@ -1068,10 +2368,10 @@ class Mechanism(ConstraintMethods):
 
     __hash__ = None  # type: ignore[assignment]
 
-    def content(self) -> tuple[Any, ...]:
+    def content(self) -> tuple[object, ...]:
         """Return all content as nested tuples, in the order of declaration.
 
-        File positions and notes are left out.
+        Mechanisms with equal content are equal. Positions in files and notes are left out.
         """
         return (
             self.name,

@@ -493,6 +493,7 @@ class _Reader:
         if abs(a @ b) > ORTHOGONAL:
             cross = m.body(choose_numbered_name(f"{full}_cross", m.bodies), where=options["where"])
             one, two = (axes[tag] for tag in ("axis", "axis2"))
+            uncut: dict[str, Any] = {**options, "cut": False}
             return [
                 m.revolute(
                     choose_numbered_name(f"{full}_axis", m.joints),
@@ -510,7 +511,7 @@ class _Reader:
                     child_at=ends.X_CJ,
                     axis=two.xyz,
                     **two.keywords,
-                    **options | {"cut": False},
+                    **uncut,
                 ),
             ]
         b = spatial.unit(b - (a @ b) * a)
