@@ -359,7 +359,10 @@ def _search_nearest(
     """Search the nearest mechanism part by part; None where none is needed or found."""
     if system._ideal is not None or not _has_closures(system):
         return None
-    if not system.nv or list_timed_constraints(system) or has_velocity_constraints(system):
+    if not system.nv:
+        return None
+    declared = system._mechanism.constraints
+    if declared and (list_timed_constraints(system) or has_velocity_constraints(system)):
         return None
     tree = remove_cut_marks(system)
     parts = _split_parts(tree, most)
