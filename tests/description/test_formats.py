@@ -202,6 +202,10 @@ CASES: dict[tuple[str, str], tuple[Callable[[Mechanism], object], str]] = {
         "constraint 'rod'",
     ),
     ("sdf", "names of its own, and equal ones"): (lambda m: m.frame("j", "a"), "frame 'j'"),
+    ("sdf", "parts of a nested model that are tied to parts outside"): (
+        lambda m: m.frame("arm::tip", "a"),
+        "frame 'arm::tip'",
+    ),
     ("sdf", "control characters in names"): (lambda m: setattr(m, "name", "\x01"), r"name '\x01'"),
     ("toml", "joints of types that are not in the table of joints"): (
         lambda m: m.joint("own", Unknown(), "a", m.body("x")),

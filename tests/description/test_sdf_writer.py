@@ -118,6 +118,52 @@ def test_loops_that_zero_closes():
     assert comes_back(m).bodies["x"]
 
 
+def test_names_of_nested_models_come_back():
+    m = Mechanism("two arms")
+    turned: dict[str, Any] = {
+        "at": (0.1, 0.2, 0.3),
+        "rpy": (0.4, -0.5, 0.6),
+        "child_at": (0.1, 0, 0),
+    }
+    names = ("base", "left::arm", "left::hand", "left::grip::jaw", "left::table", "right::arm")
+    for name in names:
+        m.body(name)
+    m.fixed("stand", m.ground, "base", at=(0, 0, 1))
+    m.revolute("left_mount", "base", "left::arm", **turned)
+    m.revolute("left::wrist", "left::arm", "left::hand", **turned)
+    m.prismatic("left::grip_mount", "left::hand", "left::grip::jaw", limits=(0, 0.1), **turned)
+    m.planar("left::slide", "left::hand", "left::table", **turned)
+    m.revolute("right_mount", "right::arm", "base", **turned)
+    m.couple("left::grip_mount", {"left::wrist": 0.1})
+    m.frame("left::grip::tip", "left::grip::jaw", at=(0, 0, 0.1))
+    m.frame("mark", "left::hand", at=(0, 0, 0.2))
+    text = write_sdf(m)
+    assert text.count("<model name=") == 4 and '<model name="grip">' in text
+    again = comes_back(m)
+    assert again.bodies.keys() == {*m.bodies, "world"}
+    assert again.couplings.keys() == m.couplings.keys()
+    for name, joint in m.joints.items():
+        assert again.joints[name].type.type_name == joint.type.type_name
+
+
+def test_parts_of_nested_models_that_are_tied_to_parts_outside_are_named():
+    m = Mechanism("m", ground="world")
+    m.body("arm::link")
+    m.body("hand")
+    m.revolute("arm::j", m.ground, "arm::link")
+    m.revolute("k", m.ground, "hand")
+    m.revolute("arm::l", "arm::link", "hand")
+    m.frame("arm::tip", "hand")
+    m.body("arm")
+    m.fixed("x::", "hand", "arm")
+    with pytest.raises(DescriptionError) as caught:
+        write_sdf(m)
+    said = {p.subject: p.message for p in caught.value.problems}
+    assert said.keys() == {"joint 'arm::l'", "frame 'arm::tip'", "body 'arm'", "joint 'x::'"}
+    assert "nested model 'arm', which does not see 'hand'" in said["joint 'arm::l'"]
+    assert "a nested model has its name" in said["body 'arm'"]
+
+
 def test_files_of_gazebo_come_back(tmp_path: Path):
     for case in ("frames", "version_1_4", "types", "loop"):
         comes_back(read_mechanism(write_files(FILES[case], tmp_path)))

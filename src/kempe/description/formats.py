@@ -124,8 +124,8 @@ SDF = Format(
     options=("base", "model", "lenient_limits", "package_dirs"),
     cannot={
         "loops that are open where all coordinates are zero": (
-            "in SDF the frames of a joint coincide where the file places the links: choose the "
-            "frames so that zero closes the loop"
+            "SDF places each link once, where all coordinates are zero, and has no value of a "
+            "joint: choose the frames so that zero closes the loop, or save as .toml"
         ),
         "bodies that no joint carries": "join them to the ground",
         "joints of other types": (
@@ -140,8 +140,11 @@ SDF = Format(
         "particles": "SDF has rigid bodies only",
         "constraints that are not joints": "a .toml file can hold it",
         "names of its own, and equal ones": (
-            "rename it: world, __...__ and names with '::' have a meaning, and a body, a joint and "
-            "a frame share no name"
+            "rename it: world and __...__ have a meaning, 'arm::hand' is a part of a nested model "
+            "'arm', and a body, a joint, a frame and a nested model share no name"
+        ),
+        "parts of a nested model that are tied to parts outside": (
+            "rename it: a nested model sees its own parts and the world only"
         ),
         "control characters in names": "rename it",
     },

@@ -18,7 +18,7 @@ from kempe.description.sdf_scopes import GROUND, MODEL
 from kempe.description.shapes import Mesh, list_size_names
 from kempe.description.urdf_writer import UrdfWriter, reserve_name
 from kempe.errors import InputError
-from kempe.poses import Placement
+from kempe.poses import Placement, place
 from kempe.spatial import Array
 from kempe.words import join_first_words
 
@@ -39,8 +39,9 @@ TYPES = {
 def write_sdf(mechanism: Mechanism) -> str:
     """Return the SDF text of a mechanism; `read_sdf` gives all bodies and frames the same poses.
 
-    The ground becomes a link that is fixed to the world, unless it is called 'world'. A joint that
-    closes a loop is written where its two frames coincide while all coordinates are zero.
+    The ground becomes a link that is fixed to the world, unless it is called 'world'. Parts called
+    'arm::hand' are written in a nested model 'arm'. A joint that closes a loop is written where its
+    two frames coincide while all coordinates are zero.
     Parameters are evaluated, locked joints become fixed ones. Errors: `DescriptionError` listing
     all that SDF cannot say, by `SDF.cannot` of `kempe.description.formats`.
     """
@@ -67,6 +68,8 @@ class _SdfWriter(UrdfWriter):
         self.placed: dict[str, Joint] = {}
         self.poses: dict[str, Array] = {name: np.eye(4)}
         self.place_bodies()
+        self.inside: dict[str, list[str]] = {"": []}
+        """Elements in each nested model, by its prefix 'arm::hand::'."""
         self.seats = {
             j.name: [reserve_name(f"{j.name}_{end}", self.taken) for end in ("parent", "child")]
             for j in m.joints.values()
@@ -78,35 +81,76 @@ class _SdfWriter(UrdfWriter):
                 self.write_body(body)
         if needed:
             joint = reserve_name(f"{self.ground}_fixed", self.taken)
-            ends = f"<parent>{GROUND}</parent><child>{self.escape_text(self.ground)}</child>"
-            self.lines.append(
-                f"    <joint name={self.quote_text(joint)} type='fixed'>{ends}</joint>"
-            )
+            child = self.escape_text(get_local_name(self.ground))
+            ends = f"<parent>{GROUND}</parent><child>{child}</child>"
+            self.add_element("joint", joint, " type='fixed'", ends)
         for joint in m.joints.values():
             self.write_joint(joint)
         for frame in m.frames.values():
-            pose = self.format_pose(frame.X_BF, "", f"frame {frame.name!r}")
-            on = self.quote_text(self.choose_link_name(frame.body))
-            self.lines.append(
-                f"    <frame name={self.quote_text(frame.name)} attached_to={on}>{pose}</frame>"
-            )
+            subject = f"frame {frame.name!r}"
+            pose = self.format_pose(frame.X_BF, "", subject)
+            on = self.choose_seen_name(self.choose_link_name(frame.body), frame.name, subject)
+            self.add_element("frame", frame.name, f" attached_to={self.quote_text(on)}", pose)
         version = "1.11" if self.mimics else "1.9"
         head = f'<?xml version="1.0" encoding="utf-8"?>\n<sdf version="{version}">\n'
-        named = self.quote_text(m.name)
+        text = self.format_model(m.name, "", "  ")
         self.findings.raise_problems()
-        return f"{head}  <model name={named}>\n" + "\n".join(self.lines) + "\n  </model>\n</sdf>\n"
+        return f"{head}{text}\n</sdf>\n"
+
+    def add_element(self, tag: str, name: str, attributes: str, inside: str) -> None:
+        """Add an element to the model that its name says."""
+        prefix = get_prefix(name)
+        for end in (i + 2 for i in range(len(prefix)) if prefix.startswith("::", i)):
+            self.inside.setdefault(prefix[:end], [])
+        named = self.quote_text(get_local_name(name))
+        self.inside[prefix].append(f"<{tag} name={named}{attributes}>{inside}</{tag}>")
+
+    def format_model(self, name: str, prefix: str, indent: str) -> str:
+        """Return the element <model> with the parts of a prefix, and the models nested in it."""
+        lines = [f"{indent}  {line}" for line in self.inside[prefix]]
+        lines += [
+            self.format_model(get_local_name(inner[:-2]), inner, indent + "  ")
+            for inner in self.inside
+            if inner and get_prefix(inner[:-2]) == prefix
+        ]
+        named = self.quote_text(name)
+        return "\n".join([f"{indent}<model name={named}>", *lines, f"{indent}</model>"])
+
+    def choose_seen_name(self, name: str, of: str, subject: str) -> str:
+        """Return the name of a part as the model of another part sees it.
+
+        A nested model sees its own parts and the world only.
+        """
+        prefix = get_prefix(of)
+        if not name.startswith(prefix) and name != GROUND:
+            self.findings.add_problem(
+                f"its name puts it in the nested model {prefix[:-2]!r}, which does not see {name!r}",
+                subject,
+                None,
+                self.format.cannot["parts of a nested model that are tied to parts outside"],
+            )
+        return name.removeprefix(prefix)
 
     # ---- what must hold
 
     def check_names(self) -> None:
         """Refuse names that SDF reserves, and names that two parts share."""
         kinds = {"joint": self.m.joints, "frame": self.m.frames, "body": self.m.bodies}
-        seen: dict[str, str] = {}
+        models = {
+            prefix[:-2]
+            for parts in kinds.values()
+            for name in parts
+            if (prefix := get_prefix(name))
+        }
+        seen = dict.fromkeys(models, "nested model")
         for kind, parts in kinds.items():
             for name, part in parts.items():
-                reserved = name == GROUND or (name.startswith("__") and name.endswith("__"))
+                pieces = name.split("::")
+                reserved = any(
+                    p == GROUND or p.startswith("__") and p.endswith("__") for p in pieces
+                )
                 said = ""
-                if "::" in name or (reserved and name != self.m.ground.name):
+                if not all(pieces) or (reserved and name != self.m.ground.name):
                     said = "SDF keeps such a name for itself"
                 elif name in seen:
                     said = f"a {seen[name]} has its name, too"
@@ -186,6 +230,7 @@ class _SdfWriter(UrdfWriter):
             allowed = self.format.cannot["particles"]
             self.findings.add_problem("it is a particle", subject, body.where, allowed)
         inside: list[str] = []
+        name = self.choose_link_name(body.name)
         joint = self.placed.get(body.name)
         if joint is not None:
             forward = joint.child == body.name
@@ -193,7 +238,10 @@ class _SdfWriter(UrdfWriter):
             seat = joint.name
             if joint.name in self.seats:  # a joint of Drake is no frame of SDF
                 seat = self.seats[joint.name][not forward]
-            inside.append(self.format_pose(X, seat, subject))
+            if seat.startswith(get_prefix(name)):
+                inside.append(self.format_pose(X, seat.removeprefix(get_prefix(name)), subject))
+            else:  # nested models do not see it, and stand where the outer one does
+                inside.append(self.format_pose(place(self.poses[body.name]), "", subject))
         if body.mass is not None or body.center is not None:
             center = (
                 f"<pose>{_format_numbers([*body.center, 0.0, 0.0, 0.0])}</pose>"
@@ -204,8 +252,7 @@ class _SdfWriter(UrdfWriter):
         taken: dict[str, set[str]] = {"visual": set(), "collision": set()}
         for shape in body.shapes:
             inside += self.format_shapes(shape, taken, subject)
-        name = self.quote_text(self.choose_link_name(body.name))
-        self.lines.append(f"    <link name={name}>{''.join(inside)}</link>")
+        self.add_element("link", name, "", "".join(inside))
 
     def format_shapes(
         self, shape: Shape, taken: dict[str, set[str]], subject: str
@@ -252,18 +299,20 @@ class _SdfWriter(UrdfWriter):
         on_child = joint.X_CM
         if self.placed.get(joint.child) is not joint and self.placed.get(joint.parent) is not joint:
             self.check_closed_joint(joint)
+        parent, child = (
+            self.choose_seen_name(self.choose_link_name(b), joint.name, subject)
+            for b in (joint.parent, joint.child)
+        )
+        if kind == "planar":
+            self.write_planar_joint(joint, subject)
+            return
         if self.placed.get(joint.child) is joint:
-            parent = self.choose_link_name(joint.parent)
             pose = self.format_pose(
                 self.place_on_parent(joint), MODEL if parent == GROUND else parent, subject
             )
         else:
-            pose = self.format_pose(on_child, self.choose_link_name(joint.child), subject)
-        ends = [self.escape_text(self.choose_link_name(b)) for b in (joint.parent, joint.child)]
-        if kind == "planar":
-            self.write_planar_joint(joint, ends, subject)
-            return
-        inside = f"<parent>{ends[0]}</parent><child>{ends[1]}</child>{pose}"
+            pose = self.format_pose(on_child, child, subject)
+        inside = f"<parent>{self.escape_text(parent)}</parent><child>{self.escape_text(child)}</child>{pose}"
         if kind == "screw":
             given: Any = joint.type.options["pitch"]
             pitch = 2.0 * math.pi * float(given)
@@ -274,25 +323,26 @@ class _SdfWriter(UrdfWriter):
             inside += f"<{tag}><xyz>{xyz}</xyz>{self.format_axis_limit(joint, name)}</{tag}>"
         if joint.cut:
             inside += "<physics><simbody><must_be_loop_joint>true</must_be_loop_joint></simbody></physics>"
-        self.lines.append(
-            f"    <joint name={self.quote_text(joint.name)} type='{kind}'>{inside}</joint>"
-        )
+        self.add_element("joint", joint.name, f" type='{kind}'", inside)
 
-    def write_planar_joint(self, joint: Joint, ends: list[str], subject: str) -> None:
+    def write_planar_joint(self, joint: Joint, subject: str) -> None:
         """Write a planar joint of Drake between two frames of its own."""
         frames = self.seats[joint.name]
         places = ((joint.parent, self.place_on_parent(joint)), (joint.child, joint.X_CM))
         for name, (body, X) in zip(frames, places, strict=True):
             on = self.choose_link_name(body)
-            at = "" if on == GROUND else f" attached_to={self.quote_text(on)}"
-            pose = self.format_pose(X, "", subject)
-            self.lines.append(f"    <frame name={self.quote_text(name)}{at}>{pose}</frame>")
-        self.lines.append(
-            f"    <drake:joint name={self.quote_text(joint.name)} type='planar'>"
-            f"<drake:parent>{self.escape_text(frames[0])}</drake:parent>"
-            f"<drake:child>{self.escape_text(frames[1])}</drake:child>"
-            "<drake:damping>0 0 0</drake:damping></drake:joint>"
+            if on == GROUND:
+                on = MODEL if not get_prefix(name) else ""
+            if on != MODEL:
+                on = self.choose_seen_name(on, name, subject)
+            at = "" if on == MODEL else f" attached_to={self.quote_text(on)}"
+            self.add_element("frame", name, at, self.format_pose(X, "", subject))
+        parent, child = (self.escape_text(get_local_name(name)) for name in frames)
+        inside = (
+            f"<drake:parent>{parent}</drake:parent><drake:child>{child}</drake:child>"
+            "<drake:damping>0 0 0</drake:damping>"
         )
+        self.add_element("drake:joint", joint.name, " type='planar'", inside)
 
     def choose_sdf_type(self, joint: Joint) -> str | None:
         """Return the joint type in SDF; None after refusing a type that SDF lacks."""
@@ -332,7 +382,8 @@ class _SdfWriter(UrdfWriter):
         if joint.name in self.mimics and not name:
             source, factor, offset = self.mimics[joint.name]
             numbers = f"<multiplier>{factor!r}</multiplier><offset>{offset!r}</offset>"
-            out += f"<mimic joint={self.quote_text(source)}>{numbers}</mimic>"
+            seen = self.choose_seen_name(source, joint.name, f"joint {joint.name!r}")
+            out += f"<mimic joint={self.quote_text(seen)}>{numbers}</mimic>"
         return out
 
     def check_closed_joint(self, joint: Joint) -> None:
@@ -350,6 +401,17 @@ class _SdfWriter(UrdfWriter):
                 joint.where,
                 self.format.cannot["loops that are open where all coordinates are zero"],
             )
+
+
+def get_prefix(name: str) -> str:
+    """Return the prefix of the nested models that a name stands in: 'arm::hand::' or ''."""
+    model, separator, _ = name.rpartition("::")
+    return model + separator
+
+
+def get_local_name(name: str) -> str:
+    """Return a name without the nested models that it stands in."""
+    return name.rpartition("::")[2]
 
 
 def _format_numbers(numbers: Iterable[Any]) -> str:
