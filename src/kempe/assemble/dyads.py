@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -22,7 +23,7 @@ from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, bui
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.model.configurations import read_q, read_start, refuse_large_numbers
-from kempe.model.model import keep_answers
+from kempe.model.model import keep_answers, store_answer
 from kempe.numerics.pool import sum_over_chunks
 from kempe.report import Report, summarize_fields
 from kempe.spatial import Array
@@ -259,10 +260,24 @@ class Plan(Report):
         self, values: ArrayLike, branch: Any = None, start: Any = None, threads: int | None = None
     ) -> DyadAnswer:
         """Solve for configurations, and count the parts that the values leave undetermined."""
+        q, status, given, lead = self._solve_rows(values, branch, start, threads)
+        gap = status[:, 0]
+        ok = (gap <= self.tolerance) & np.isfinite(given).all(axis=-1)
+        if not lead:
+            return DyadAnswer(q[0], bool(ok[0]), float(gap[0]), int(status[0, 1]), (self, given))
+        ok, gap, free = (x.reshape(lead) for x in (ok, gap, status[:, 1].astype(int)))
+        return DyadAnswer(q.reshape(*lead, q.shape[-1]), ok, gap, free, (self, given))
+
+    def _solve_rows(
+        self, values: ArrayLike, branch: Any, start: Any, threads: int | None
+    ) -> tuple[Array, Array, Array, tuple[int, ...]]:
+        """Solve as `solve` does, with rows instead of leading axes.
+
+        Returned are what `_run_program` returns, the values (N, n_known), and their leading shape.
+        """
         given, lead = self.values(values)
-        nq = self.system.nq
         if start is None:
-            targets = np.zeros((1, nq))
+            targets = np.zeros((1, self.system.nq))
         else:
             targets = _shape_rows(read_start(self.system, start), lead, "near")
             refuse_large_numbers(self.system, targets, "start")
@@ -270,12 +285,7 @@ class Plan(Report):
             branch, targets if branch is None and start is not None else None, lead
         )
         q, status = self._run_program(given, signs, targets, threads)
-        gap = status[:, 0]
-        ok = (gap <= self.tolerance) & np.isfinite(given).all(axis=-1)
-        if not lead:
-            return DyadAnswer(q[0], bool(ok[0]), float(gap[0]), int(status[0, 1]), (self, given))
-        ok, gap, free = (x.reshape(lead) for x in (ok, gap, status[:, 1].astype(int)))
-        return DyadAnswer(q.reshape(*lead, nq), ok, gap, free, (self, given))
+        return q, status, given, lead
 
     def all(self, values: ArrayLike, start: Any = None) -> tuple[Array, np.ndarray]:
         """Solve on all branches: q (..., 2**signs, nq), and a mask (..., 2**signs) of closed q.
@@ -436,17 +446,27 @@ class Plan(Report):
                 if start is None
                 else np.ascontiguousarray(self.branch_of(start))
             )
-        given = (
-            [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch]
-            if isinstance(branch, str)
-            else branch
-        )
+        if not isinstance(branch, str):
+            return self._read_signs(branch, lead)
+        signs = self._signs_by_text.get(branch)
+        if signs is None:
+            given = [{"+": 1.0, "-": -1.0}.get(c, math.nan) for c in branch]
+            signs = store_answer(self._signs_by_text, branch, self._read_signs(given, lead, branch))
+        return signs
+
+    @cached_property
+    def _signs_by_text(self) -> dict[str, Array]:
+        """Branch signs (1, signs) by the text that names them."""
+        return {}
+
+    def _read_signs(self, given: Any, lead: tuple[int, ...], said: Any = None) -> Array:
+        """Read branch signs, rows (1 or N, signs). Errors: `InputError`, with the text `said`."""
         signs = read_reals(given, "branch", "signs, +1 or -1")
         if signs.ndim == 0 or signs.shape[-1] != self.signs or not np.all(np.abs(signs) == 1.0):
             each = f"{format_count(self.signs, 'sign')}, + or - (1 or -1), one for each dyad"
             raise InputError(
-                f"branch is {branch!r}; it must be {each} (assembly_modes lists the branches), or "
-                "the name of a posture"
+                f"branch is {given if said is None else said!r}; it must be {each} (assembly_modes "
+                "lists the branches), or the name of a posture"
             )
         return _shape_rows(signs, lead, "branch")
 
@@ -492,12 +512,16 @@ def solve_branch(
             "start in place of the branch"
         )
     values = find_source_values(system, known)
-    plan = find_closed_form(system, tuple(values))
+    plan = _decompose_system(system, tuple(values))
     if isinstance(plan, Incomplete):
         raise InputError(f"branch {branch!r} cannot be looked up: {plan.reason}")
-    columns = np.broadcast_arrays(*values.values(), np.zeros(()))[:-1]
-    stacked = np.stack(columns, axis=-1) if columns else np.zeros(0)
-    return plan.solve(stacked, branch, near, threads)[0]
+    shapes = [column.shape for column in values.values()]
+    lead = np.broadcast_shapes(*shapes) if any(shapes) else ()
+    stacked = np.empty((*lead, len(values)))
+    for i, column in enumerate(values.values()):
+        stacked[..., i] = column
+    q = plan._solve_rows(stacked, branch, near, threads)[0]
+    return q.reshape(*lead, system.nq)
 
 
 @keep_answers

@@ -149,6 +149,17 @@ class Closure(Curve):
             columns *= self.unit
         return self.weight * values, columns
 
+    def evaluate_sparse_loops(self, x: Array) -> tuple[Array, Array, np.ndarray, np.ndarray]:
+        """Compute residuals (m,) and Jacobian (m, n) of the loop closures alone at the point `x`.
+
+        Rows and columns (k,) of its entries that are not zero by structure come with it: of a long
+        chain a pass over all entries takes far longer.
+        """
+        values, columns = closure_rows.evaluate_constraints(self.tree, x)
+        i, j = closure_rows.pack_full_loops(self.tree, False).places
+        columns[i, j] *= self.weight[i] * self.unit[j]
+        return self.weight * values, columns, i, j
+
     def evaluate_many_points(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
         """Compute residuals (k, rows) and Jacobians (k, rows, n) at many points `x` (k, nq).
 

@@ -233,7 +233,8 @@ class Cluster:
     def list_loop_paths(self, s: ConstraintGraph, short: bool) -> list[np.ndarray]:
         """List the edges of each loop: shortened loops, or loops as the spanning tree closes them."""
         if short:
-            return [np.array(self.edges)[np.flatnonzero(signs)] for signs in self.cells]
+            edges = np.array(self.edges)
+            return [edges[np.flatnonzero(signs)] for signs in self.cells]
         return [np.array([i for i, _ in s.loops[k].path]) for k in self.loops]
 
     def measure_loops(self, s: ConstraintGraph, short: bool) -> LoopSizes:

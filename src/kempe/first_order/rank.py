@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from kempe.equations.slip import compute_unit_rows, has_velocity_constraints
 from kempe.errors import InputError, UnsupportedError
 from kempe.first_order.constraint_graph import Cluster, ConstraintGraph, Law, build_constraint_graph
 from kempe.first_order.screws import Screws, compute_screws
-from kempe.numerics.rank import SPARSE, Level, Spectrum
+from kempe.numerics.rank import FLOOR, SPARSE, Level, Spectrum
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -28,6 +28,14 @@ if TYPE_CHECKING:
 CLEAR_GAP = 1e3
 """Ratio of the last singular value that counts to the first that does not, below which the rank is
 doubtful."""
+BANDED = 400
+"""Velocities of a cluster from which on its equations are looked at as banded ones."""
+NARROW = 0.1
+"""Bandwidth, as a part of the equations, up to which that is worth while."""
+CLEARLY = 10.0
+"""How far above what counts the smallest singular value is where the rank is clearly full."""
+PROJECTIONS = 4
+"""Projections of random vectors on the null space: each reduces the error of the last."""
 AROUND = 0.2
 POINTS = 8
 """How far around a configuration, in scaled velocities, and at how many points the sizes of written
@@ -162,12 +170,58 @@ def _compute_cluster_rank(
     if not J.size:
         n = J.shape[1]
         return ClusterRank(c, J, np.zeros(0), 0, np.inf, np.eye(len(J)), np.eye(n))
+    found = _find_full_rank(J, size) if J.shape[1] >= BANDED else None
+    if found is not None:
+        values, null_space = found
+        size = max(float(values[0]), size)
+        values = values / size
+        gap = float(values[-1]) / FLOOR
+        return ClusterRank(c, J, values, len(J), gap, np.zeros((len(J), 0)), null_space, size)
     spectrum = Spectrum(J, size)
     stresses = spectrum.left
     r, gap = spectrum.find_clear_rank()
     size = float(spectrum.largest)
     null_space = spectrum.right[r:].T
     return ClusterRank(c, J, spectrum.values / size, r, gap, stresses[:, r:], null_space, size)
+
+
+def _find_full_rank(J: Array, size: float) -> tuple[Array, Array] | None:
+    """Return singular values and null space (n, n - m) of J (m, n) where its rank is clearly m.
+
+    `J J^T` of many loops is banded where each shares velocities with few others. Its eigenvalues
+    are the squares of the singular values, to half of the digits: enough above the level of what
+    counts. The null space is what projections leave of random vectors. None where the band is wide,
+    or the rank not clearly full.
+    """
+    m, n = J.shape
+    if m > n:
+        return None
+    import scipy.linalg  # only here: they take long
+    import scipy.sparse
+    import scipy.sparse.csgraph
+
+    library = cast(Any, scipy.sparse)
+    rows = library.csr_matrix(J)
+    gram = (rows @ rows.T).tocsr()
+    order = library.csgraph.reverse_cuthill_mckee(gram, symmetric_mode=True)
+    gram = gram[order][:, order].tocoo()
+    width = int(np.max(gram.row - gram.col, initial=0))
+    if width > NARROW * m:
+        return None
+    lower = gram.row >= gram.col
+    band = np.zeros((width + 1, m))
+    band[(gram.row - gram.col)[lower], gram.col[lower]] = gram.data[lower]
+    linear = cast(Any, scipy.linalg)
+    values = np.sqrt(np.maximum(linear.eigvals_banded(band, lower=True)[::-1], 0.0))
+    if not values[-1] > CLEARLY * Level.GENERIC * max(float(values[0]), size):
+        return None
+    rows = rows[order]
+    factor = linear.cholesky_banded(band, lower=True), True
+    basis = np.random.default_rng(0).normal(size=(n, n - m))
+    for _ in range(PROJECTIONS):
+        basis -= rows.T @ linear.cho_solve_banded(factor, rows @ basis)
+        basis = np.linalg.qr(basis)[0]
+    return values, basis
 
 
 def _compute_cluster_jacobian(
@@ -180,28 +234,57 @@ def _compute_cluster_jacobian(
 ) -> tuple[Array, float]:
     """Compute the scaled Jacobian (rows, velocities) of a cluster, and its largest twist."""
     n = len(c.velocities)
-    around = np.zeros((len(c.loops), 6, n))
-    if c.loops and len(c.local):
-        twists = np.concatenate([at.twists[i] for i in c.edges], axis=1)[:, c.moving]
-        own = np.where(c.sliding, at.length, 1.0)
-        twists = twists * (c.factor * units[c.velocities[c.local]] / own)
-        each = c.cells[:, None, c.owner] * twists
-        if c.has_shared_velocities:
-            for k, local in enumerate(c.local):
-                around[:, :, local] += each[:, :, k]
-        else:
-            around[:, :, c.local] = each
-    near = at.build_shift_matrices([s.loops[k].edge for k in c.loops]) @ around
+    edges = [s.loops[k].edge for k in c.loops]
+    shifts = at.build_shift_matrices(edges)
+    loop, column, around = _compute_loop_twists(at, c, units)
+    near = np.einsum("kij,kj->ki", shifts[loop], around)
     size = float(np.sqrt(np.max(np.sum(near * near, axis=1), initial=0.0)))
-    closing = [s.edges[s.loops[k].edge] for k in c.loops]
-    blocks: list[Array] = []
-    for k, edge, twists, there in zip(c.loops, closing, around, near, strict=True):
+    ends = np.searchsorted(loop, np.arange(len(c.loops) + 1)).tolist()
+    entries: list[Array] = []
+    for i, k in enumerate(c.loops):
+        own = slice(ends[i], ends[i + 1])
+        edge = s.edges[edges[i]]
         if edge.is_joint and not edge.particle:
-            blocks.append(there if system.dim == 3 else there[_PLANE])
+            entries.append(near[own].T if system.dim == 3 else near[own].T[_PLANE])
         else:
-            blocks.append(compute_loop_rows(system, s, at, k) @ twists)
-    blocks += [_compute_law_rows(system, s.laws[k], written, c.velocities, units) for k in c.laws]
-    return np.concatenate(blocks) if blocks else np.zeros((0, n)), size
+            entries.append(compute_loop_rows(system, s, at, k) @ around[own].T)
+    laws = [_compute_law_rows(system, s.laws[k], written, c.velocities, units) for k in c.laws]
+    J = np.zeros((sum(map(len, entries)) + sum(map(len, laws)), n))
+    row = 0
+    for i, values in enumerate(entries):
+        J[row : row + len(values), column[ends[i] : ends[i + 1]]] = values
+        row += len(values)
+    for values in laws:
+        J[row : row + len(values)] = values
+        row += len(values)
+    return J, size
+
+
+def _compute_loop_twists(
+    at: Screws, c: Cluster, units: Array
+) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Compute the scaled twists (k, 6) that velocities of a cluster cause around its loops.
+
+    Returned are the loops (k,), ascending, the columns (k,) of the velocities, and the twists, for
+    all pairs of a loop and a velocity that moves it.
+    """
+    if not c.loops or not len(c.local):
+        none = np.zeros(0, dtype=np.int64)
+        return none, none, np.zeros((0, 6))
+    twists = np.concatenate([at.twists[i] for i in c.edges], axis=1)[:, c.moving]
+    own = np.where(c.sliding, at.length, 1.0)
+    twists = twists * (c.factor * units[c.velocities[c.local]] / own)
+    loop, edge = np.nonzero(c.cells)
+    first = np.searchsorted(c.owner, np.arange(len(c.edges) + 1))
+    count = np.diff(first)[edge]
+    pair = np.repeat(np.arange(len(loop)), count)
+    moving = first[edge[pair]] + np.arange(len(pair)) - np.repeat(np.cumsum(count) - count, count)
+    each = c.cells[loop[pair], edge[pair]][:, None] * twists[:, moving].T
+    n = len(c.velocities)
+    key, place = np.unique(loop[pair] * n + c.local[moving], return_inverse=True)
+    around = np.zeros((len(key), 6))
+    np.add.at(around, place, each)
+    return key // n, key % n, around
 
 
 def _compute_law_rows(
@@ -279,9 +362,9 @@ def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int]
     Where the `inputs` determine all other velocities of a large mechanism, it is found from theirs.
     """
     if inputs and closure.n >= SPARSE and not has_velocity_constraints(closure.system):
-        F, J = closure.evaluate_loops(q)
+        F, J, i, j = closure.evaluate_sparse_loops(q)
         if float(np.abs(F).max(initial=0.0)) < OPEN:
-            free = Spectrum(J).compute_sparse_null_space(inputs, Level.CLOSED)
+            free = Spectrum(J).compute_sparse_null_space(inputs, Level.CLOSED, (i, j))
             if free is not None:
                 return free
     F, J = closure.evaluate_equations(q)

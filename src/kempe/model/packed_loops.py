@@ -103,6 +103,20 @@ class PackedLoops:
             out.append([v for v in self.plan[at : at + tie[L.LOCALS]].tolist() if v in unknown])
         return out
 
+    @cached_property
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns (k,) of the entries of the Jacobian that are not zero by structure."""
+        row: list[np.ndarray] = []
+        column: list[np.ndarray] = []
+        first = 0
+        for tie, coordinates in zip(self.ties, self.tie_coordinates, strict=True):
+            count = len(tie.row_names)
+            row.append(np.repeat(np.arange(first, first + count), len(coordinates)))
+            column.append(np.tile(np.array(coordinates, dtype=np.int64), count))
+            first += count
+        none = np.zeros(0, dtype=np.int64)
+        return np.concatenate([none, *row]), np.concatenate([none, *column])
+
     @property
     def lengths(self) -> list[int]:
         """For each tie, how many of its first equations are lengths."""

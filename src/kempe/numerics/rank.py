@@ -223,10 +223,13 @@ class Spectrum:
         sense[..., -1] = np.sign(np.linalg.det(U @ Vt))
         return (U * sense[..., None, :]) @ Vt
 
-    def compute_sparse_null_space(self, columns: Sequence[int], level: float) -> Array | None:
+    def compute_sparse_null_space(
+        self, columns: Sequence[int], level: float, places: tuple[Any, Any] | None = None
+    ) -> Array | None:
         """Compute the null space of a large sparse matrix from the entries in these `columns`.
 
-        These entries of a null vector determine the others.
+        These entries of a null vector determine the others. `places` are rows and columns (k,) of
+        all entries that may not be zero, where they are known.
 
         None where the other columns are not as many as the rows, or are not clearly independent:
         where their smallest singular value, estimated by inverse iteration with sparse factors, is
@@ -245,7 +248,7 @@ class Spectrum:
         library = cast(Any, scipy.sparse)
         row: np.ndarray
         column: np.ndarray
-        row, column = np.nonzero(A)
+        row, column = np.nonzero(A) if places is None else places
         number = np.full(n, -1)
         number[others] = np.arange(m)
         entries = A[row, column]
