@@ -35,9 +35,11 @@ from kempe.arguments import call_until_interrupt
 from kempe.equations.closure import Closure
 from kempe.equations.closure_rows import compute_residual
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.motion import events
+from kempe.motion import crossings, events
 from kempe.motion.crossings import SingularNode, find_germ
 from kempe.motion.trace import trace, trace_branches
+from kempe.numerics import newton
+from kempe.numerics.clock import TimeLimit
 
 
 def pins(a, d, A, D, c):
@@ -796,3 +798,43 @@ def test_branches_that_touch_to_the_fourth_order_are_followed_apart():
     assert turned[0] < 1e-9 < 0.1 < turned[1]
     elsewhere = system.trace(start=path.at(0.3 * path.length))
     assert elsewhere.closed and elsewhere.length == pytest.approx(path.length, abs=1e-3)
+
+
+# ---- directions of branches from second order
+
+
+def vanish_along(rng, d, count, forms):
+    """Quadratic forms (forms, d, d), random but zero along `count` lines, and the lines (count, d)."""
+    lines = rng.normal(size=(count, d))
+    lines /= np.linalg.norm(lines, axis=1, keepdims=True)
+    i, j = np.triu_indices(d)
+    rows = lines[:, i] * lines[:, j]
+    null = np.linalg.svd(rows)[2][count:]
+    F = np.zeros((forms, d, d))
+    F[:, i, j] = rng.normal(size=(forms, len(null))) @ null
+    return 0.5 * (F + F.transpose(0, 2, 1)), lines
+
+
+@pytest.mark.parametrize("d", [3, 4, 5])
+def test_all_lines_along_which_forms_vanish_are_found(d, hunt):
+    rng = hunt.rng()
+    for _ in range(hunt.cases(5)):
+        F, lines = vanish_along(rng, d, d, d + 2)
+        found = crossings._solve_many_forms(F / np.abs(F).max(), TimeLimit(None))
+        assert found.shape == (d, d)
+        np.testing.assert_allclose(np.abs(found @ lines.T).max(axis=0), 1.0, atol=1e-9)
+
+
+def test_directions_of_branches_take_few_calls(monkeypatch):
+    """Counted are solutions of linear equations: many starts make a step together."""
+    calls = []
+    solve = newton.solve_many_least_squares
+
+    def count(A, b, level):
+        calls.append(len(A))
+        return solve(A, b, level)
+
+    monkeypatch.setattr(newton, "solve_many_least_squares", count)
+    F, _ = vanish_along(np.random.default_rng(0), 5, 5, 7)
+    crossings._solve_many_forms(F / np.abs(F).max(), TimeLimit(None))
+    assert sum(calls) > 40 * 2**5 and len(calls) <= 3 * 40

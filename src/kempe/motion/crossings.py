@@ -224,26 +224,39 @@ def _solve_many_forms(forms: Array, budget: TimeLimit) -> Array:
     """
     d: int = forms.shape[1]
     rng = np.random.default_rng(0)
-    found: list[Array] = []
+    found = np.zeros((0, d))
 
-    def evaluate_forms(u: Array) -> tuple[Array, Array]:
-        """Return the values of the forms at a unit vector, and their derivatives."""
-        return np.append(np.einsum("i,mij,j->m", u, forms, u), 0.0), np.vstack([2.0 * forms @ u, u])
+    def evaluate_forms(u: Array, _: np.ndarray) -> tuple[Array, Array]:
+        """Return the values of the forms at unit vectors, and their derivatives."""
+        slopes = np.concatenate([2.0 * np.einsum("mij,kj->kmi", forms, u), u[:, None]], axis=1)
+        values = 0.5 * np.einsum("kmi,ki->km", slopes, u)
+        values[:, -1] = 0.0
+        return values, slopes
 
     def move_on_sphere(u: Array, y: Array) -> Array:
-        """Return a unit vector moved by a step."""
-        return (u + y) / np.linalg.norm(u + y)
+        """Return unit vectors moved by steps."""
+        return (u + y) / np.linalg.norm(u + y, axis=1, keepdims=True)
 
-    for _ in range(40 * 2**d):
+    starts = 40 * 2**d
+    for first in range(0, starts, MOST_STARTS):
         budget.check_time()
-        u = rng.normal(size=d)
-        u = u / np.linalg.norm(u)
-        u, left, _ = run_gauss_newton(
-            evaluate_forms, u, 40, level=Level.ROUNDING, last=1e-15, move=move_on_sphere
+        u = rng.normal(size=(min(MOST_STARTS, starts - first), d))
+        u = run_many_gauss_newton(
+            evaluate_forms,
+            u / np.linalg.norm(u, axis=1, keepdims=True),
+            40,
+            level=Level.ROUNDING,
+            last=1e-15,
+            move=move_on_sphere,
         )
-        if np.abs(left).max() < 1e-9 and all(abs(abs(u @ v) - 1.0) > SAME_LINE for v in found):
-            found.append(u)
-    return np.array(found).reshape(-1, d)
+        left, _ = evaluate_forms(u, np.arange(len(u)))
+        u = u[np.abs(left).max(axis=1) < 1e-9]
+        for v in found:
+            u = u[np.abs(np.abs(u @ v) - 1.0) > SAME_LINE]
+        while len(u):
+            found = np.concatenate([found, u[:1]])
+            u = u[np.abs(np.abs(u @ u[0]) - 1.0) > SAME_LINE]
+    return found
 
 
 def find_branch_lines(equations: Closure, x: Array) -> Array:

@@ -82,6 +82,8 @@ NOTHING = 1e-15
 LARGE = 60
 """Equations from which on normal equations are solved in place of singular value decompositions,
 where both will do."""
+SMALL = 1000
+"""Entries up to which many matrices are decomposed at once: a call for each takes far longer."""
 WORK = 2e8
 """Products of numbers between two looks at the clock, about 0.1 s."""
 WELL = 1e7
@@ -155,9 +157,14 @@ def solve_many_least_squares(A: Array, b: Array, level: float = Level.CLOSED) ->
         found = np.linalg.solve(G, right)
         bad = ~(np.linalg.norm(found[..., 1], axis=-1) * scale < WELL)
         y[:] = np.einsum("kmn,km->kn", A, found[..., 0]) if wide else found[..., 0]
-    for k in np.flatnonzero(bad):
-        check_for_stop()
-        y[k] = _solve_by_singular_values(A[k], b[k], level)
+    left = np.flatnonzero(bad)
+    if m * A.shape[-1] > SMALL:
+        for k in left:
+            check_for_stop()
+            y[k] = _solve_by_singular_values(A[k], b[k], level)
+    elif len(left):
+        inverse = Spectrum(A[left]).compute_pseudo_inverse(level)
+        y[left] = np.einsum("knm,km->kn", inverse, b[left])
     return y
 
 
