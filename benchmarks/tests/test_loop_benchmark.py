@@ -11,7 +11,7 @@ from pathlib import Path
 import kempe_bench as benchmark
 import numpy as np
 import pytest
-from kempe_bench import crank_peers, cranks, freedoms, loops, peers, timing
+from kempe_bench import crank_peers, cranks, freedoms, loops, motions, peers, timing
 from kempe_bench.loop_solvers import Assembler, Mujoco, Pinocchio, SparseMujoco
 from kempe_bench.loop_trees import Tree, mjcf
 
@@ -315,6 +315,10 @@ def test_sections_run(monkeypatch, everybody):
         (cranks, "STEPS", 20),
         (cranks, "SINGLE_STEPS", 5),
         (cranks, "ROWS", (3, 5)),
+        (motions, "SAMPLES", 5),
+        (motions, "LONG", 3),
+        (motions, "MECHANISMS", {"four_bar": "A"}),
+        (motions, "TURNS", 1),
         (freedoms, "TRUTH", {"four_bar": 1, "shaky_3r": 0, "delta_uu": 3}),
         (freedoms, "TIMED", ("delta_uu",)),
         (freedoms, "LARGE", ("delta_uu",)),
@@ -323,8 +327,8 @@ def test_sections_run(monkeypatch, everybody):
     wanted = [
         p for p in ("pin", "mujoco", "drake", "exudyn", "pylinkage") if p in peers.installed()
     ] * everybody
-    sections = ["assembly", "success", "dyads", "row", "dof", "mobility"]
-    assembly, success, _, _, dof, _ = tables = list(benchmark.benchmark(sections, wanted))
+    sections = ["assembly", "success", "dyads", "row", "motions", "chains", "dof", "mobility"]
+    assembly, success, _, _, _, _, dof, _ = tables = list(benchmark.benchmark(sections, wanted))
     assert all(np.isfinite(row.value) and table.goals for table in tables for row in table.rows)
     lines = {row.call for row in assembly.rows}
     assert lines >= {"four_bar, 0.1, crank known", "stewart, 0.1, legs known", "bennett, 1"}
