@@ -136,6 +136,29 @@ def add_signature_options(cls: type) -> Callable[[Function], Function]:
     return write_signature
 
 
+def find_parameter_text(doc: str | None, first: str = "") -> str:
+    """Return the lines of a docstring's section Parameters, from the parameter `first` on."""
+    from inspect import cleandoc  # only here, and below
+
+    lines = cleandoc(doc or "").partition(PARAMETERS)[2].partition("\n\n")[0]
+    return lines[lines.find(f"{first}\n") if first else 0 :]
+
+
+def add_parameter_text(doc: str | None, text: str) -> str | None:
+    """Add lines at the end of a docstring's section Parameters, if there is one."""
+    from inspect import cleandoc
+
+    before, heading, after = cleandoc(doc or "").partition(PARAMETERS)
+    if not heading:
+        return doc
+    own, gap, rest = after.partition("\n\n")
+    return f"{before}{heading}{own}\n{text}{gap}{rest}"
+
+
+PARAMETERS = "\n\nParameters\n----------\n"
+"""Heading of the section of a docstring that describes the parameters."""
+
+
 def explain_method_errors(cls: Class) -> Class:
     """Decorate the public methods, `__call__` and `__str__` of a class with `explain_errors`."""
     for name, value in list(vars(cls).items()):

@@ -10,12 +10,22 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import IntEnum, auto
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, TypeAlias, TypeVar, dataclass_transform
+from typing import (
+    Any,
+    ClassVar,
+    NamedTuple,
+    TypeAlias,
+    TypedDict,
+    TypeVar,
+    Unpack,
+    dataclass_transform,
+)
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arguments import explain_init_errors, numbers
+from kempe.arguments import add_parameter_text, explain_init_errors, find_parameter_text, numbers
 from kempe.arrays import is_array, is_mapping, is_sequence
 from kempe.errors import INSTEAD, InputError
 from kempe.poses import EXACT as RIGID
@@ -243,18 +253,18 @@ def read_bounds(low: Any, high: Any, what: str) -> tuple[Array, Array]:
 
 Frame: TypeAlias = "str | End"
 """A field that names a frame or a body, or is an `End`."""
-Number: TypeAlias = Any
+Number: TypeAlias = ArrayLike | Expression | None
 """A field of one number (...): in a description also an expression in parameters."""
-Point: TypeAlias = Any
+Point: TypeAlias = ArrayLike | Sequence[ArrayLike | Expression] | None
 """A field of a place, or of a number for each direction (..., 3), in planar systems also (...,
 2)."""
-Direction: TypeAlias = Any
+Direction: TypeAlias = ArrayLike | Sequence[ArrayLike | Expression] | None
 """A field of a direction (..., 3), or its name: "x", "-z"."""
-Matrix: TypeAlias = Any
+Matrix: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 """A field of a pose (..., 4, 4)."""
-Names: TypeAlias = Any
+Names: TypeAlias = Sequence[str] | str
 """A field of names of coordinates, or of frames."""
-Rotation: TypeAlias = Any
+Rotation: TypeAlias = ArrayLike | Mapping[str, ArrayLike]
 """A field of a rotation (..., 3, 3)."""
 
 
@@ -333,16 +343,39 @@ class End:
         return self.body
 
 
+class TaskKeywords(TypedDict, total=False):
+    """What only `ik` reads of a soft task, besides its weight."""
+
+    priority: int
+    tolerance: float | tuple[float, float] | None
+    name: str
+
+
+class WeightedTaskKeywords(TaskKeywords, total=False):
+    """What only `ik` reads."""
+
+    weight: float | None
+
+
 @dataclass(frozen=True, eq=False)
 class Constraint(ABC):
-    """A constraint on a system, or a task; each kind is a subclass that declares its rows.
+    """Constraint on a system, or task of `ik`; each kind is a subclass that declares its rows.
 
-    `Mechanism.constrain` holds it always, `System.ik` in one call. What only `ik` reads: without a
-    `weight` it is hard, it must hold. With one it is soft: the sum of weight times squared error,
-    in radians and characteristic lengths of the system, is made least. Those of a lower `priority`
-    number come first: the others act only in what these leave free. `tolerance` is the largest
-    error of a hard one, a number or (metres, radians); default: that of the call. `name` is how
-    answers call it.
+    `Mechanism.constrain` holds a constraint always, `System.ik` in one call. What only `ik` reads:
+
+    Parameters
+    ----------
+    weight
+        Weight of a soft task of `ik`, which minimises the sum of weight times squared error, in
+        radians and characteristic lengths. A task without a weight must hold (default).
+    priority
+        Tasks of a lower number come first; others act only in the freedoms that these leave
+        (default: 0).
+    tolerance
+        Largest error of a task that must hold: a number, or (metres, radians) (default: that of the
+        call).
+    name
+        Name in answers and messages.
     """
 
     weight: float | None = field(default=None, kw_only=True)
@@ -455,17 +488,35 @@ class Constraint(ABC):
 
     # ---- what only `ik` reads
 
-    def soft(self, weight: float = 1.0, **more: Any) -> Constraint:
+    def soft(self, weight: float = 1.0, **more: Unpack[TaskKeywords]) -> Constraint:
         """Return the constraint as a soft task of `ik` with a weight.
 
-        `more` are `priority`, `tolerance` and `name`.
+        Parameters
+        ----------
+        weight
+            Weight of the squared error (default: 1).
+        **more
+            `priority`, `tolerance` and `name`, as of the constraint.
+
+        Returns
+        -------
+        Constraint
+            A new constraint of the same kind.
         """
         return replace(self, weight=weight, **more)
 
-    def demand(self, **more: Any) -> Constraint:
-        """Return the constraint with settings that only `ik` reads.
+    def demand(self, **more: Unpack[WeightedTaskKeywords]) -> Constraint:
+        """Return the constraint with other settings that only `ik` reads.
 
-        They are `weight`, `priority`, `tolerance` and `name`.
+        Parameters
+        ----------
+        **more
+            `weight`, `priority`, `tolerance` and `name`, as of the constraint.
+
+        Returns
+        -------
+        Constraint
+            A new constraint of the same kind.
         """
         return replace(self, **more)
 
@@ -547,6 +598,7 @@ def kind(name: str, symbol: str = "mark", says: str = "") -> Callable[[_Kind], _
             raise InputError(
                 f"the kind {name!r} of constraint exists already: {taken.__qualname__}"
             )
+        made.__doc__ = add_parameter_text(made.__doc__, find_parameter_text(Constraint.__doc__))
         made.kind = name
         made.symbol = symbol
         made.says = says

@@ -57,9 +57,23 @@ def choose_contact_expressions(shape: Any, dim: int, what: str) -> tuple[str, tu
 
 @kind("contact", "contact", "{frame} stays above the plane of {other}")
 class Contact(Constraint):
-    """Origin of a frame, or a ball or disc of `radius` [m] about the origin, on or above a plane.
+    """Demand that a point, ball or disc stays on or above a plane.
 
-    The plane is the xy-plane of `other`.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body, whose origin is the centre.
+    other
+        Frame whose xy-plane is the plane (default: the ground). In the plane it is the line of
+        its x axis, and y points to the allowed side.
+    radius
+        Radius in metres (default: 0, a point).
+    shape
+        "ball" or "disc"; the axle of a disc is y of its frame.
+
+    See Also
+    --------
+    Mechanism.contact : hold it always.
     """
 
     frame: Frame
@@ -83,9 +97,24 @@ class Contact(Constraint):
 
 @kind("no_sideslip", "wheel", "{frame} does not slip along its y")
 class NoSideslip(Constraint):
-    """Velocity of a frame's origin along the frame's y axis: zero, as for a wheel or a blade.
+    """Prescribe the velocity of a frame's origin along its y axis: 0 for a wheel or a blade.
 
-    With `speed` it has this velocity there, in m/s.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    other
+        Frame against which the velocity is measured (default: the ground).
+    speed
+        Velocity along y in m/s (default: 0).
+
+    See Also
+    --------
+    Mechanism.no_sideslip : hold it always.
+
+    Notes
+    -----
+    The constraint is one of velocities: a mechanism can have it, `ik` cannot.
     """
 
     frame: Frame
@@ -109,10 +138,32 @@ class NoSideslip(Constraint):
 
 @kind("rolls", "wheel", "{frame} rolls on the plane of {other}")
 class Rolls(Constraint):
-    """Rolling without slip of a ball or disc about a frame's origin on the plane of `other`.
+    """Demand that a ball or disc rolls on a plane without slipping.
 
-    The axle of a disc is y of its frame. Without `spin` a ball does not turn about the normal
-    either. `one_sided`: it may leave the plane.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body, whose origin is the centre.
+    other
+        Frame whose xy-plane is the plane (default: the ground); in the plane, the line of its x
+        axis.
+    radius
+        Radius in metres; it must be given.
+    shape
+        "ball" or "disc"; the axle of a disc is y of its frame.
+    spin
+        Whether it may turn about the normal of the plane (default: True).
+    one_sided
+        Whether it may leave the plane (default: False).
+
+    See Also
+    --------
+    Mechanism.rolls : hold it always.
+
+    Notes
+    -----
+    One equation holds the gap at 0; one or more hold the velocity of the touching point at 0. A
+    mechanism can have the constraint, `ik` cannot.
     """
 
     frame: Frame

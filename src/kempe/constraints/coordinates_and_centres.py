@@ -7,6 +7,7 @@ from dataclasses import field
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.arrays import read_mapping
@@ -33,15 +34,31 @@ AXES = ("xyz", "xy", "xz", "yz", "x", "y", "z")
 
 @kind("posture", says="coordinates are near {q}")
 class Posture(Constraint):
-    """Coordinates near given values.
+    """Demand that coordinates are near given values.
 
-    The values are a configuration `q` (..., nq), or a dict by coordinate name of those that count.
+    Parameters
+    ----------
+    q
+        Configuration (..., nq) in radians and metres, or values by name of the coordinates that
+        count.
+    weight
+        Weight of the squared error (default: 1). With None the values must hold.
 
-    It is soft unless `weight` is None. A quaternion counts as a whole, by the angle between the two
-    orientations.
+    Notes
+    -----
+    A quaternion counts as a whole, by the angle between the two orientations.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import Position, Posture
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik([Position("tool", (0.4, 0.2, 0.3)), Posture({"q4": 0.0}, weight=0.1)])
+    >>> bool(answer.success)
+    True
     """
 
-    q: Any
+    q: ArrayLike | Mapping[str, ArrayLike]
     weight: float | None = field(default=1.0, kw_only=True)
 
     unbounded: ClassVar[str] = "Equation has bounds of a coordinate"
@@ -145,14 +162,38 @@ class _OfCentre(Bounded):
 
 @kind("centre_of_mass", says="the centre of mass is at {target}")
 class CentreOfMass(_OfCentre):
-    """Centre of mass at a position `target` (..., 3), or `within` a distance [m] of the target.
+    """Demand that the centre of mass is at a position.
 
-    `axes` says along which axes: "xyz", "xy", ...
+    Parameters
+    ----------
+    target
+        Position (..., 3) in metres, or (..., n) for the n axes that count.
+    axes
+        Axes of the ground that count: "xyz" (default), "xy", "xz", "yz", "x", "y" or "z".
+    within
+        Largest distance from the target along each axis in metres: a number, or (..., n) for
+        the n axes (default: 0).
+    at_least, at_most
+        Bounds of the coordinate along a single axis in metres, in place of a target (default: none).
 
-    Where fewer axes count, `target` may have a number for each of these only.
-    `within` is one number, or (..., n) for the n axes, from target to target where it has leading
-    axes. Along one axis, `at_least` and `at_most` are bounds in place of a target.
-    Masses and centres are those of the bodies, as files give them.
+    Raises
+    ------
+    InputError
+        If the system has no masses, or neither a target nor bounds are given.
+
+    Notes
+    -----
+    Masses and centres are those of the bodies; bodies without a mass do not count.
+
+    Examples
+    --------
+    >>> from kempe import Mechanism
+    >>> from kempe.tasks import CentreOfMass
+    >>> m = Mechanism("pendulum", dim=2)
+    >>> _ = m.revolute("q1", m.ground, m.body("link", mass=2.0, center=(0.5, 0)))
+    >>> robot = m.build()
+    >>> round(float(robot.ik(CentreOfMass((0.3,), axes="x"), start=[1.0]).q[0]), 4)
+    0.9273
     """
 
     target: Point = None
@@ -179,11 +220,35 @@ class CentreOfMass(_OfCentre):
 
 @kind("centre_of_points", says="the mean of {frames} is at {target}")
 class CentreOfPoints(_OfCentre):
-    """The mean of the origins of frames at a position `target` (..., 3).
+    """Demand that the mean of the origins of frames is at a position.
 
-    `frames` is a list, or a dict of weights.
+    Parameters
+    ----------
+    frames
+        Names of the frames, or a dict of weights by name.
+    target
+        Position (..., 3) in metres, or (..., n) for the n axes that count.
+    axes
+        Axes of the ground that count: "xyz" (default), "xy", "xz", "yz", "x", "y" or "z".
+    within
+        Largest distance from the target along each axis in metres: a number, or (..., n) for
+        the n axes (default: 0).
+    at_least, at_most
+        Bounds of the coordinate along a single axis in metres, in place of a target (default: none).
 
-    Along one axis, `at_least` and `at_most` are bounds in place of a target.
+    Raises
+    ------
+    InputError
+        If there are no frames, or neither a target nor bounds are given.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import CentreOfPoints
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(CentreOfPoints(["link3", "tool"], (0.3,), axes="z"))
+    >>> bool(answer.success)
+    True
     """
 
     frames: Sequence[str] | Mapping[str, float]
@@ -222,21 +287,44 @@ class CentreOfPoints(_OfCentre):
 
 @kind("function", says="{function} is zero")
 class Function(Constraint):
-    """A function of q (nq,) that is zero, or between `low` and `high` (m,).
+    """Demand that a function of the configuration is zero, or between bounds.
 
-    It gives a number or an array (m,).
+    Parameters
+    ----------
+    function
+        Function of q (nq,) that returns a number or an array (m,). With `frames` it is called
+        with their poses (4, 4) in the ground, one argument each, in place of q.
+    derivative
+        Function that returns the derivatives (m, nv) by the velocity coordinates (default:
+        complex steps or differences). It is compared with differences.
+    low, high
+        Bounds, a number or (m,) (default: 0).
+    frames
+        Names of frames (default: none).
 
-    With `frames` it is called with their poses (4, 4) in the ground, one after the other, in place
-    of q. `derivative` gives its derivatives (m, nv) by the velocity coordinates, and is checked;
-    else they are by complex steps or differences, with one or two calls for each coordinate, and
-    with `frames` for each that moves one of them. Its error is compared with the tolerance of
-    angles.
+    See Also
+    --------
+    Equation : expressions of named coordinates, which are faster.
+
+    Notes
+    -----
+    Without `derivative` there are one or two calls for each coordinate; with `frames`, for each
+    coordinate that moves one of them. The error is compared with the tolerance of angles.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import Function
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(Function(lambda X: X[2, 3] - 0.3, frames=("tool",)))
+    >>> round(float(robot.fk(answer.q, "tool")[2, 3]), 5)
+    0.3
     """
 
-    function: Callable[..., Any]
-    derivative: Callable[..., Any] | None = None
-    low: Any = 0.0
-    high: Any = 0.0
+    function: Callable[..., object]
+    derivative: Callable[..., object] | None = None
+    low: ArrayLike = 0.0
+    high: ArrayLike = 0.0
     frames: Names = ()
 
     unbounded: ClassVar[str] = "its bounds are 'low' and 'high'"

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import field
 from functools import lru_cache
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.arguments import read_flag
@@ -28,18 +29,48 @@ HALVINGS = 24
 """Most halvings: a curve that still turns is taken to have a cusp."""
 
 
-Points: TypeAlias = Any
+Points: TypeAlias = ArrayLike
 """A field of a list of points, which are structure: numbers, the same for all targets."""
 
 
 @kind("on_curve", says="{frame} is on a curve of {other}")
 class OnCurve(Measured):
-    """A point of a frame on the curve through `points` (n, 3), in planar systems also (n, 2).
+    """Demand that a point of a frame is on a curve through given points, or near it.
 
-    The curve is the cubic spline by the length of its chords. A `closed` one ends where it starts,
-    and its first point need not be repeated; an open one goes on straight beyond its ends. Its
-    equations are the distances across the curve from its nearest point. `at_least`, `at_most`: its
-    distance from there.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    points
+        Points (n, 3) in metres, in the plane also (n, 2): at least 4, of a closed curve 3.
+    closed
+        Whether the curve ends where it starts (default: False). The first point need not be
+        repeated.
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    other
+        Frame in whose axes the points are read (default: the ground).
+    at_least, at_most
+        Bounds of the distance from the curve in metres, in place of 0 (default: none).
+
+    Raises
+    ------
+    InputError
+        If there are too few points, or neighbours are equal.
+
+    Notes
+    -----
+    The curve is the cubic spline over the lengths of its chords. An open curve goes on straight
+    beyond its ends.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import OnCurve
+    >>> robot = kempe.load("puma560")
+    >>> points = [(0.3, 0, 0.3), (0.4, 0.1, 0.3), (0.5, 0, 0.3), (0.4, -0.1, 0.3)]
+    >>> bool(robot.ik(OnCurve("tool", points, closed=True)).success)
+    True
     """
 
     frame: Frame

@@ -6,7 +6,7 @@ They are text, or Python functions, which are recorded once as text where that i
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
@@ -464,7 +464,9 @@ def _compare_tape(
 # A recorded function is kept as text, so that it can be written to files and compared. Where it
 # branches on values it stays a function (`Call`): it can be called, but has no series.
 
-Written: TypeAlias = Any
+Written: TypeAlias = (
+    "float | str | Expression | Sequence[object] | Callable[..., object] | Tape | Call"
+)
 """A field of an expression: text, several, or a function of named inputs."""
 Parameters: TypeAlias = "Mapping[str, float] | None"
 """Parameters of the mechanism by name; None where they are not known yet."""
@@ -598,7 +600,7 @@ class _WrittenKind(Constraint):
         cannot be recorded.
         """
 
-        of = self.of
+        of: Any = self.of
         time = self.time
         if not of:
             raise InputError(
@@ -624,7 +626,7 @@ class _WrittenKind(Constraint):
 
         Errors: `InputError`, `UnknownNameError`.
         """
-        of = self.of
+        of: Any = self.of
         time = self.time
         known = self.parameters
         if isinstance(written, Tape):
@@ -768,12 +770,38 @@ class _Valued(_WrittenKind, Bounded):
 
 @kind("equation", says="{expression}")
 class Equation(_Valued):
-    """An equation f = 0 of coordinates, or several: text such as ``"A = 2*B"``, or a function.
+    """Demand that an expression of coordinates is zero, or several.
 
-    A function is called with a mapping from the names `of` to numbers, with `time` also with the
-    time t, and gives a number or a list. Text finds its coordinates itself; other names are
-    parameters of the mechanism. `drive` and `assemble` pass the time on; for all other verbs it is
-    0. `at_least`, `at_most`: f within bounds, not zero.
+    Parameters
+    ----------
+    expression
+        Text such as ``"A = 2*B"``, several texts, or a function, called with a mapping from the names in
+        `of` to numbers, that returns one number or several. Text finds its coordinates itself;
+        other names are parameters of the mechanism.
+    of
+        Names of the coordinates of a function.
+    time
+        Whether the time t in seconds is an input: a second argument of a function, or ``t`` in
+        a text (default: False).
+    at_least, at_most
+        Bounds of the values, in place of 0 (default: none).
+
+    See Also
+    --------
+    Mechanism.equation : hold it always.
+
+    Notes
+    -----
+    `drive` and `assemble` pass the time on; for other verbs it is 0.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import Equation
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(Equation("q1 = 2*q2"))
+    >>> bool(abs(answer.q[0] - 2 * answer.q[1]) < 1e-6)
+    True
     """
 
     expression: Written
@@ -784,11 +812,38 @@ class Equation(_Valued):
 
 @kind("inequality", says="{expression}")
 class Inequality(_Valued):
-    """An inequality f >= 0 of coordinates, or several; see `Equation`.
+    """Demand that an expression of coordinates is not negative, or several.
 
-    Its text may not have a sign of equality.
+    Parameters
+    ----------
+    expression
+        Text such as ``"1.2 - A"``, without a sign of equality, several texts, or a function, called
+        with a mapping from the names in `of` to numbers, that returns one number or several. Text
+        finds its coordinates itself; other names are parameters of the mechanism.
+    of
+        Names of the coordinates of a function.
+    time
+        Whether the time t in seconds is an input: a second argument of a function, or ``t`` in
+        a text (default: False).
+    at_least, at_most
+        Bounds of the values, in place of 0 and above (default: none).
 
-    `at_least`, `at_most`: f within these bounds, in place of 0 and above.
+    See Also
+    --------
+    Mechanism.inequality : hold it always.
+
+    Notes
+    -----
+    `drive` and `assemble` pass the time on; for other verbs it is 0.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import Inequality
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(Inequality("q1 - 0.1"))
+    >>> bool(answer.q[0] >= 0.1 - 1e-6)
+    True
     """
 
     expression: Written
@@ -801,12 +856,27 @@ class Inequality(_Valued):
 
 @kind("velocity_equation", says="the velocities v of {of} obey {matrix} v = {b}")
 class VelocityEquation(_WrittenKind):
-    """Equations A(q) v = b(q, t) of the velocities v of the coordinates `of`.
+    """Demand equations A(q) v = b(q, t) of the velocities of coordinates.
 
-    Their entries are numbers, texts, or a function of these coordinates.
+    Parameters
+    ----------
+    matrix
+        Rows of A, one for each equation, with a number or text for each coordinate of `of`, or
+        a function that returns them.
+    of
+        Names of the coordinates whose velocities are v.
+    b
+        Right side: a number or text, or one for each row, or a function (default: 0).
+    time
+        Whether the time t in seconds is an input (default: False).
 
-    `matrix` has a row for each equation and a column for each of `of`; `b` is one number, or one
-    for each row.
+    See Also
+    --------
+    Mechanism.velocity_equation : hold it always.
+
+    Notes
+    -----
+    A mechanism can have the constraint, `ik` cannot.
     """
 
     matrix: Written
@@ -873,20 +943,18 @@ class VelocityEquation(_WrittenKind):
 
     def _format_rows(self) -> tuple[str, ...]:
         """Return each row A v - b as an expression in velocities."""
-        b = self.b if is_texts(self.b) else (self.b,) * len(self.matrix)
+        matrix: Any = self.matrix
+        b = self.b if is_texts(self.b) else (self.b,) * len(matrix)
         rates = [quote_name(n + RATE) for n in self.of]
-        rows = [
-            " + ".join(f"({a})*{v}" for a, v in zip(row, rates, strict=True)) for row in self.matrix
-        ]
+        rows = [" + ".join(f"({a})*{v}" for a, v in zip(row, rates, strict=True)) for row in matrix]
         return tuple(row if y == "0" else f"{row} - ({y})" for row, y in zip(rows, b, strict=True))
 
     @property
     def words(self) -> tuple[str, ...]:
         """Names in the expressions, coordinates first."""
+        matrix: Any = self.matrix
         b = self.b if is_texts(self.b) else (self.b,)
-        return tuple(
-            dict.fromkeys([*self.of, *list_words((*(x for row in self.matrix for x in row), *b))])
-        )
+        return tuple(dict.fromkeys([*self.of, *list_words((*(x for r in matrix for x in r), *b))]))
 
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
         """Return the constraint unchanged, since `of` already names the coordinates."""
@@ -927,10 +995,8 @@ class VelocityEquation(_WrittenKind):
                 parse_tape((text,), (*self.of, *clock), tuple(words)), new
             ).format_outputs()[0]
 
-        b: Written = (
-            tuple(map(rename_coordinates, self.b))
-            if is_texts(self.b)
-            else rename_coordinates(self.b)
-        )
-        matrix = tuple(tuple(map(rename_coordinates, row)) for row in self.matrix)
+        b: Any = self.b
+        b = tuple(map(rename_coordinates, b)) if is_texts(b) else rename_coordinates(b)
+        rows: Any = self.matrix
+        matrix = tuple(tuple(map(rename_coordinates, row)) for row in rows)
         return replace(self, matrix=matrix, b=b, of=tuple(new.values()))

@@ -174,7 +174,32 @@ the origin of A, and of B against A."""
 
 @kind("pose", says="{frame} is at {target}")
 class Pose(Placed):
-    """A frame at a pose: `target` (..., 4, 4), in planar systems also (..., 3, 3)."""
+    """Demand that a frame is at a pose.
+
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    target
+        Pose (..., 4, 4), in the plane also (..., 3, 3), or a pose in another form that `ik` reads.
+    other
+        Frame in whose axes the target is read (default: the ground).
+
+    See Also
+    --------
+    Position, Orientation : one part of a pose.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import kempe
+    >>> from kempe.tasks import Pose
+    >>> robot = kempe.load("puma560")
+    >>> X = robot.fk(robot.mid, "tool")
+    >>> answer = robot.ik(Pose("tool", X))
+    >>> np.allclose(robot.fk(answer.q, "tool"), X, atol=1e-5)
+    True
+    """
 
     frame: Frame
     target: Matrix
@@ -191,9 +216,29 @@ class Pose(Placed):
 
 @kind("position", says="{frame} is at {target}")
 class Position(Measured):
-    """Point of a frame at or near a position `target` (..., 3), in planar systems also (..., 2).
+    """Demand that a point of a frame is at a position, or near it.
 
-    `at_least`, `at_most`: its distance from the target.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    target
+        Position (..., 3) in metres, in the plane also (..., 2).
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    other
+        Frame in whose axes the target is read (default: the ground).
+    at_least, at_most
+        Bounds of the distance from the target in metres, in place of 0 (default: none).
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import Position
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(Position("tool", (0.4, 0.2, 0.3)))
+    >>> robot.fk(answer.q, "tool")[:3, 3].round(5)
+    array([0.4, 0.2, 0.3])
     """
 
     frame: Frame
@@ -212,11 +257,28 @@ class Position(Measured):
 
 @kind("orientation", says="{frame} is turned as {target}")
 class Orientation(Measured):
-    """Frame with the orientation `target`, a rotation (..., 3, 3) or a pose (..., 4, 4).
+    """Demand that a frame has an orientation; its position is free.
 
-    The position of the frame is free.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    target
+        Rotation (..., 3, 3), or a pose (..., 4, 4) of which the rotation counts.
+    other
+        Frame in whose axes the target is read (default: the ground).
+    at_least, at_most
+        Bounds of the angle between frame and target in radians, in place of 0 (default: none).
 
-    `at_least`, `at_most`: the angle of the rotation between them.
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import kempe
+    >>> from kempe.tasks import Orientation
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(Orientation("tool", np.eye(3)))
+    >>> np.allclose(robot.fk(answer.q, "tool")[:3, :3], np.eye(3), atol=1e-5)
+    True
     """
 
     frame: Frame
@@ -249,11 +311,33 @@ class _Axis(Measured):
 
 @kind("pointing", says="an axis of {frame} is along {direction}")
 class Pointing(_Axis):
-    """An `axis` of a frame along a `direction` (..., 3) of the ground, or of `other`.
+    """Demand that an axis of a frame has a direction.
 
-    The axis is z by default, in the plane x.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    direction
+        Direction (..., 3) of any length, in the plane also (..., 2), or a name: "x", "-z".
+    axis
+        Axis of the frame, in its axes (default: z, in the plane x).
+    other
+        Frame in whose axes the direction is read (default: the ground).
+    at_least, at_most
+        Bounds of the angle between axis and direction in radians, in place of 0 (default: none).
 
-    `at_least`, `at_most`: the angle between them, as of a glass that must not spill.
+    Notes
+    -----
+    A glass that must not spill has `at_most`.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import Pointing
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(Pointing("tool", "-z"))
+    >>> (robot.fk(answer.q, "tool")[:3, 2].round(5) + 0.0)
+    array([ 0.,  0., -1.])
     """
 
     frame: Frame
@@ -276,12 +360,33 @@ class Pointing(_Axis):
 
 @kind("look_at", says="an axis of {frame} points at {target}")
 class LookAt(_Axis):
-    """Frame whose `axis` points at a position `target` (..., 3), as a camera does.
+    """Demand that an axis of a frame points at a position, as a camera does.
 
-    The axis is z by default, in the plane x.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    target
+        Position (..., 3) in metres, in the plane also (..., 2).
+    axis
+        Axis of the frame, in its axes (default: z, in the plane x).
+    other
+        Frame in whose axes the target is read (default: the ground).
+    at_least, at_most
+        Bounds of the angle between axis and line of sight in radians, in place of 0 (default: none).
 
-    `at_least`, `at_most`: the angle between the axis and the line of sight, as of what must stay in
-    view.
+    Notes
+    -----
+    The line of sight goes from the origin of the frame to the target.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import LookAt
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(LookAt("tool", (1, 0, 0), at_most=0.1))
+    >>> bool(answer.success)
+    True
     """
 
     frame: Frame
@@ -300,9 +405,35 @@ class LookAt(_Axis):
 
 @kind("on_line", says="{frame} is on a line of {other}")
 class OnLine(Measured):
-    """A point of a frame on the line through `origin` (..., 3) along `direction` (..., 3).
+    """Demand that a point of a frame is on a line, or near it.
 
-    `at_least`, `at_most`: its distance from the line, outside or inside a tube.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    origin
+        Point of the line (..., 3) in metres, in the plane also (..., 2) (default: the origin).
+    direction
+        Direction of the line (..., 3), or its name (default: z).
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    other
+        Frame in whose axes the line is read (default: the ground).
+    at_least, at_most
+        Bounds of the distance from the line in metres, in place of 0 (default: none).
+
+    Notes
+    -----
+    Along the line and about it the frame is free.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import OnLine
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(OnLine("tool", (0.4, 0, 0), "z"))
+    >>> robot.fk(answer.q, "tool")[:2, 3].round(5) + 0.0
+    array([0.4, 0. ])
     """
 
     frame: Frame
@@ -329,9 +460,35 @@ class OnLine(Measured):
 
 @kind("on_plane", says="{frame} is on a plane of {other}")
 class OnPlane(Measured):
-    """A point of a frame on the plane through `origin` (..., 3) with the normal `normal` (..., 3).
+    """Demand that a point of a frame is on a plane, or at a height over it.
 
-    `at_least`, `at_most`: its height over the plane, along the normal.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    origin
+        Point of the plane (..., 3) in metres, in the plane also (..., 2) (default: the origin).
+    normal
+        Normal of the plane (..., 3), or its name (default: z).
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    other
+        Frame in whose axes the plane is read (default: the ground).
+    at_least, at_most
+        Bounds of the height along the normal in metres, which may be negative, in place of 0 (default: none).
+
+    See Also
+    --------
+    HalfSpace : one side of a plane.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import OnPlane
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(OnPlane("tool", (0, 0, 0.3)))
+    >>> round(float(robot.fk(answer.q, "tool")[2, 3]), 5)
+    0.3
     """
 
     frame: Frame
@@ -353,7 +510,36 @@ class OnPlane(Measured):
 
 @kind("half_space", "contact", "{frame} is on one side of a plane of {other}")
 class HalfSpace(Placed):
-    """A point of a frame at least `margin` (...) metres from a plane, on the side of its `normal`."""
+    """Demand that a point of a frame stays on one side of a plane.
+
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    origin
+        Point of the plane (..., 3) in metres, in the plane also (..., 2) (default: the origin).
+    normal
+        Normal (..., 3) on the allowed side, or its name (default: z).
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    margin
+        Least height (...) over the plane in metres (default: 0).
+    other
+        Frame in whose axes the plane is read (default: the ground).
+
+    See Also
+    --------
+    OnPlane : both bounds of the height.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import HalfSpace
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(HalfSpace("tool", margin=0.1))
+    >>> bool(robot.fk(answer.q, "tool")[2, 3] >= 0.1)
+    True
+    """
 
     frame: Frame
     origin: Point = ORIGIN
@@ -377,9 +563,36 @@ class HalfSpace(Placed):
 
 @kind("on_sphere", says="{frame} is {radius} m away from a point of {other}")
 class OnSphere(Measured):
-    """Point of a frame on a sphere (in planar systems a circle) of `radius` (...) about `center`.
+    """Demand that a point of a frame has a distance from a centre; in the plane, is on a circle.
 
-    `at_least`, `at_most`, in place of the radius: outside or inside a sphere.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    center
+        Centre (..., 3) in metres, in the plane also (..., 2).
+    radius
+        Radius (...) in metres (default: none, for bounds).
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    other
+        Frame in whose axes the centre is read (default: the ground).
+    at_least, at_most
+        Bounds of the distance in metres, in place of the radius: outside or inside a sphere (default: none).
+
+    Raises
+    ------
+    InputError
+        If there is neither a radius nor a bound, or both.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import OnSphere
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(OnSphere("tool", (0, 0, 0.5), radius=0.5))
+    >>> bool(answer.success)
+    True
     """
 
     frame: Frame
@@ -401,7 +614,35 @@ class OnSphere(Measured):
 
 @kind("in_box", "contact", "{frame} is in a box of {other}")
 class InBox(Placed):
-    """A point of a frame in a box at `pose` (..., 4, 4), between the corners `low` and `high`."""
+    """Demand that a point of a frame is in a box.
+
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    low, high
+        Opposite corners (..., 3) in metres, in the plane also (..., 2), in the axes of the box.
+    pose
+        Pose (..., 4, 4) of the box (default: the identity).
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    other
+        Frame in whose axes the pose of the box is read (default: the ground).
+
+    Raises
+    ------
+    InputError
+        If a corner `low` is above `high`.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import InBox
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(InBox("tool", (0.2, 0.2, 0.2), (0.4, 0.4, 0.4)))
+    >>> bool(answer.success)
+    True
+    """
 
     frame: Frame
     low: Point
@@ -430,7 +671,8 @@ class InBox(Placed):
     @property
     def _given_dim(self) -> int:
         """Number of coordinates of the given corners: 2 or 3."""
-        return 2 if (2,) in (np.shape(self.low)[-1:], np.shape(self.high)[-1:]) else 3
+        corners: tuple[Any, Any] = (self.low, self.high)
+        return 2 if any(np.shape(x)[-1:] == (2,) for x in corners) else 3
 
     @cached_property
     def _corners(self) -> tuple[Array, Array]:
@@ -455,7 +697,21 @@ class InBox(Placed):
 
 @kind("relative_pose", says="{frame} is at {target}, seen from {other}")
 class RelativePose(Placed):
-    """A frame at a pose `target` (..., 4, 4) seen from the frame `other`."""
+    """Demand that a frame is at a pose seen from another frame.
+
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    other
+        Frame in whose axes the target is read.
+    target
+        Pose (..., 4, 4), in the plane also (..., 3, 3).
+
+    See Also
+    --------
+    Pose : the same with an optional `other`.
+    """
 
     frame: Frame
     other: Frame
@@ -467,7 +723,25 @@ class RelativePose(Placed):
 
 @kind("relative_position", says="{frame} is at {target}, seen from {other}")
 class RelativePosition(Measured):
-    """Point of a frame at or near a position `target` (..., 3) in the axes of the frame `other`."""
+    """Demand that a point of a frame is at a position seen from another frame, or near it.
+
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    other
+        Frame in whose axes the target is read.
+    target
+        Position (..., 3) in metres, in the plane also (..., 2).
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    at_least, at_most
+        Bounds of the distance from the target in metres, in place of 0 (default: none).
+
+    See Also
+    --------
+    Position : the same with an optional `other`.
+    """
 
     frame: Frame
     other: Frame
@@ -480,11 +754,40 @@ class RelativePosition(Measured):
 
 @kind("distance", says="{frame} and {other} are {value} m apart")
 class Distance(Measured):
-    """Distance between two points of two frames: `value` (...) [m], or within bounds.
+    """Demand a distance between points of two frames, or bounds of it.
 
-    The points are `point` and `other_point`.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    other
+        Name of the other frame or body.
+    value
+        Distance (...) in metres, above 0 in a mechanism (default: none, for bounds).
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    other_point
+        Point of the other frame, in its axes in metres (default: its origin).
+    at_least, at_most
+        Bounds of the distance in metres, in place of `value` (default: none).
 
-    A rod with a ball at each end has a `value`, a rope only `at_most`.
+    Raises
+    ------
+    InputError
+        If there is neither a value nor a bound, or both.
+
+    Notes
+    -----
+    A rod with a ball joint at each end has a `value`, a rope only `at_most`.
+
+    Examples
+    --------
+    >>> from kempe import Mechanism
+    >>> from kempe.constraints import Distance
+    >>> m = Mechanism("pendulum")
+    >>> _ = m.free("x", m.ground, m.particle("bob"))
+    >>> print(m.constrain(Distance("bob", "ground", 0.3), name="rod").sentence)
+    rod: bob and ground are 0.3 m apart
     """
 
     frame: Frame
@@ -506,12 +809,30 @@ class Distance(Measured):
 
 @kind("on_surface", says="{frame} is on {surface} of {other}")
 class OnSurface(Measured):
-    """Point of a frame on a surface f(x, y, z) = 0, in planar systems on a curve f(x, y) = 0.
+    """Demand that a point of a frame is on a surface, in the plane on a curve.
 
-    `at_least`, `at_most`: the value of f, as of what is outside or inside.
+    Parameters
+    ----------
+    frame
+        Name of the frame or body.
+    surface
+        Equation in x, y and z (in the plane x and y) in metres as text: ``"x^2/4 + y^2 = 1"``.
+    point
+        Point (3,) of the frame in its axes in metres (default: its origin).
+    other
+        Frame in whose axes the surface is read (default: the ground).
+    at_least, at_most
+        Bounds of the value of the left side less the right side, in place of 0 (default: none).
 
-    `surface` is text such as ``"x^2/4 + y^2 = 1"``, in metres along the axes of the ground or of
-    `other`.
+    Examples
+    --------
+    >>> import kempe
+    >>> from kempe.tasks import OnSurface
+    >>> robot = kempe.load("puma560")
+    >>> answer = robot.ik(OnSurface("tool", "x^2 + y^2 = 0.16"))
+    >>> x, y = robot.fk(answer.q, "tool")[:2, 3]
+    >>> round(float(x**2 + y**2), 5)
+    0.16
     """
 
     frame: Frame

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias, TypedDict, TypeVar
 
 from numpy.typing import ArrayLike
 
+from kempe.arguments import add_parameter_text, find_parameter_text
 from kempe.description.parts import Body, Frame
 from kempe.errors import Where
 from kempe.poses import Placement
@@ -78,22 +79,13 @@ def show_joint_keywords(joint: Callable[..., Any]) -> Callable[[Method], Method]
         for name, p in inspect.signature(joint).parameters.items()
         if name in JointKeywords.__annotations__
     ]
-    text = _find_keyword_text(inspect.cleandoc(joint.__doc__ or ""))
+    text = find_parameter_text(joint.__doc__, first="at")
 
     def write_method(method: Method) -> Method:
         signature = inspect.signature(method)
         own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
         method.__signature__ = signature.replace(parameters=[*own, *keywords])  # type: ignore[attr-defined]
-        before, heading, after = inspect.cleandoc(method.__doc__ or "").partition("\n\nReturns\n")
-        method.__doc__ = f"{before}\n{text}{heading}{after}"
+        method.__doc__ = add_parameter_text(method.__doc__, text)
         return method
 
     return write_method
-
-
-def _find_keyword_text(text: str) -> str:
-    """Return the part of a docstring from the parameter `at` to the end of the parameters.
-
-    Parameters of the joint type, which only some joints have, stand before `at`.
-    """
-    return text.partition("\nat\n")[2].partition("\n\nReturns\n")[0].join(("at\n", ""))
