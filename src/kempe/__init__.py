@@ -72,18 +72,55 @@ def load(
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
 ) -> System:
-    """Load a `System` from a file (path), a text, or a shipped model (bare name such as "puma560").
+    """Load a `System` from a file, a text, or a shipped model.
 
-    Formats are those of `kempe.description.formats.FORMATS`, found out by ending and contents where
-    `format` is None. `base="free"` lets the root link of a URDF move freely, or what nothing ties
-    to the world of an SDF; `root` names the ground where a file has no root link; `model` names the
-    model that is read of an SDF with several; `package_dirs` are folders in which meshes, packages
-    and the files that MJCF includes are looked up, beside the file's package, its neighbours, and
-    the folders of ROS; `xacro=True` expands xacro first, `xacro={"name": "ur5e"}` with these values
-    of its ``<xacro:arg>`` elements; `lenient_limits=True` reads limits of a URDF that hold no range (no
-    bounds, or lower above upper), and negative ones of velocity and effort, as none; `srdf`
-    is the SRDF of a URDF, with groups, postures, end effectors and how the base moves. Errors:
-    `DescriptionError` with file, line and what is allowed.
+    Parameters
+    ----------
+    source
+        Path of a file, a text or bytes, or the name of a shipped model, such as "puma560".
+    format
+        "urdf", "sdf", "mjcf" or "toml" (default: found out by the ending and the contents).
+    base
+        "free" gives the root link of a URDF, or the parts of an SDF that are not tied to the world,
+        a free joint (default: the root link is the ground).
+    root
+        Name of the ground, where a URDF has no root link.
+    model
+        Name of the model that is read of an SDF with several.
+    package_dirs
+        Folders in which meshes, packages and the files that MJCF includes are looked up, besides
+        the package of the file, its neighbours, and the folders of ROS.
+    xacro
+        True expands xacro first; a dict such as ``{"name": "ur5e"}`` also gives values of its
+        ``<xacro:arg>`` elements (default: False). A xacro file is a program and must be trusted.
+    lenient_limits
+        Whether limits of a URDF or SDF that hold no range (no bounds, or lower above upper), and
+        negative limits of velocity and effort, count as none (default: False: they are errors).
+    srdf
+        File of the SRDF of a URDF, with groups, postures, end effectors and how the base moves.
+
+    Returns
+    -------
+    System
+        The system.
+
+    Raises
+    ------
+    DescriptionError
+        If the description has problems, up to 20 with file, line and what is allowed.
+    InputError
+        If an argument is wrong, or an option is not one of the format.
+
+    See Also
+    --------
+    read : return the `Mechanism`, to change or write it.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> robot = kempe.load("puma560")
+    >>> robot.coordinate_names
+    ('q1', 'q2', 'q3', 'q4', 'q5', 'q6')
     """
     from kempe.description.source import pause_garbage_collection
 
@@ -113,7 +150,56 @@ def read(
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
 ) -> Mechanism:
-    """Read a file, text or model as `load` does, and return the `Mechanism`, to change or write it."""
+    """Read a `Mechanism` from a file, a text, or a shipped model, to change or write it.
+
+    Parameters
+    ----------
+    source
+        Path of a file, a text or bytes, or the name of a shipped model, such as "puma560".
+    format
+        "urdf", "sdf", "mjcf" or "toml" (default: found out by the ending and the contents).
+    base
+        "free" gives the root link of a URDF, or the parts of an SDF that are not tied to the world,
+        a free joint (default: the root link is the ground).
+    root
+        Name of the ground, where a URDF has no root link.
+    model
+        Name of the model that is read of an SDF with several.
+    package_dirs
+        Folders in which meshes, packages and the files that MJCF includes are looked up, besides
+        the package of the file, its neighbours, and the folders of ROS.
+    xacro
+        True expands xacro first; a dict such as ``{"name": "ur5e"}`` also gives values of its
+        ``<xacro:arg>`` elements (default: False). A xacro file is a program and must be trusted.
+    lenient_limits
+        Whether limits of a URDF or SDF that hold no range (no bounds, or lower above upper), and
+        negative limits of velocity and effort, count as none (default: False: they are errors).
+    srdf
+        File of the SRDF of a URDF, with groups, postures, end effectors and how the base moves.
+
+    Returns
+    -------
+    Mechanism
+        The mechanism, not yet built.
+
+    Raises
+    ------
+    DescriptionError
+        If the description has problems, up to 20 with file, line and what is allowed.
+    InputError
+        If an argument is wrong, or an option is not one of the format.
+
+    See Also
+    --------
+    load : return the `System`, with which everything is computed.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> m = kempe.read("puma560")
+    >>> kempe.load("puma560").nq, m.lock({"q6": 0.0}).build().nq
+    (6, 5)
+    """
     from kempe.description.read import read_mechanism
 
     return read_mechanism(

@@ -15,9 +15,26 @@ from kempe.errors import InputError, format_value
 
 
 class Tolerance(NamedTuple):
-    """Largest allowed errors: `linear` in metres and `angular` in radians.
+    """Largest allowed errors.
 
-    A plain pair of numbers is accepted, too.
+    Parameters
+    ----------
+    linear
+        Largest position error in metres.
+    angular
+        Largest rotation error in radians.
+
+    Notes
+    -----
+    Verbs take a plain pair of numbers, too, or one number for both.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> robot = kempe.load("puma560")
+    >>> target = robot.fk(robot.mid, "tool")
+    >>> bool(robot.ik(target, "tool", tolerance=kempe.Tolerance(1e-4, 1e-3)).success)
+    True
     """
 
     linear: float
@@ -27,29 +44,51 @@ class Tolerance(NamedTuple):
 @explain_init_errors
 @dataclass(frozen=True)
 class Budget:
-    """Limits of the work of a call: time, starts, steps, threads.
+    """Limits of the work of a call. None stands for the default of the verb.
 
-    None stands for the default of the verb. A verb refuses limits that it does not read, and names
-    the ones that it reads.
+    Parameters
+    ----------
+    starts
+        Largest number of starts of a search.
+    iterations
+        Largest number of steps of one start.
+    time_limit
+        Seconds for the whole call, after which it answers with what it has; `math.inf` for no
+        limit.
+    points
+        Number of points of a path, or of samples of a motion.
+    step
+        Longest step along a path, in radians and characteristic lengths.
+    rng
+        Number or generator from which random starts are drawn: the same number draws the same
+        starts.
+    threads
+        Number of threads of a batch (default: as many as there are cores).
+    progress
+        Function that is called now and then with how much is done.
+
+    Raises
+    ------
+    InputError
+        By a verb that is given a limit that it does not read; the message names those it reads.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> robot = kempe.load("puma560")
+    >>> target = robot.fk(robot.mid, "tool")
+    >>> bool(robot.ik(target, "tool", budget=kempe.Budget(starts=20, rng=1)).success)
+    True
     """
 
     starts: int | None = None
-    """Starts of a search, at most."""
     iterations: int | None = None
-    """Steps of one start, at most."""
     time_limit: float | None = None
-    """Seconds for the whole call, after which it answers with what it has; `math.inf`: as long as
-    it takes."""
     points: int | None = None
-    """Points of a path or samples of a motion."""
     step: float | None = None
-    """The longest step along a path, in radians and characteristic lengths."""
     rng: int | np.random.Generator | None = None
-    """What random starts are drawn from: the same number draws the same ones."""
     threads: int | None = None
-    """Threads of a batch; left out: as many as there are cores."""
-    progress: Callable[..., Any] | None = None
-    """Called now and then with how much is done."""
+    progress: Callable[..., object] | None = None
 
 
 class TimeUp(Exception):

@@ -9,14 +9,22 @@ import numpy as np
 
 
 class Status(IntEnum):
-    """The outcome of a question, `Answer.code`.
+    """Outcome of a question, as `code` of its answer.
 
-    It has a `sentence`, and says whether it is a `proof`.
+    Attributes
+    ----------
+    sentence
+        The outcome in words; `status` of an answer says more of the answer at hand.
+    proof
+        Whether the outcome is proved: there is no solution.
 
-    It is the general word; `Answer.status` says more of the answer at hand. Only `SOLVED` is false
-    as a truth value: compare (``answer.code is Status.SOLVED``), or ask the answer itself. Of a
-    batch, `code` is an array of numbers, of which ``Status(number)`` is the member.
+    Notes
+    -----
+    Only `SOLVED` is false as a truth value: compare (``answer.code is Status.SOLVED``), or ask the
+    answer itself. The `code` of a batch is an array of numbers; ``Status(number)`` is the member.
 
+    Examples
+    --------
     >>> Status.OUT_OF_REACH.sentence
     'outside of what the lengths of the links reach'
     >>> [s.name for s in Status if s.proof]

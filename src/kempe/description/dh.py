@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -345,6 +345,19 @@ class DHRow:
     flip: bool = False
 
 
+class TableLike(Protocol):
+    """A table with named columns, as a DataFrame is."""
+
+    @property
+    def columns(self) -> object:
+        """Names of the columns."""
+        ...
+
+
+PlacedAt: TypeAlias = ArrayLike | Placement | Mapping[str, object]
+"""A pose (4, 4), a placement, or a dict of the keywords of `kempe.poses.place`."""
+
+
 @dataclass(frozen=True)
 class ScrewRow:
     """Screw axis in the ground frame at q = 0: either `twist`, or `axis` with `point` and `pitch`.
@@ -367,39 +380,83 @@ class ScrewRow:
     actuated: bool | None = None
 
 
+Rows: TypeAlias = (
+    Sequence[DHRow | Mapping[str, object] | Sequence[Value | str]]
+    | Mapping[str, Sequence[object]]
+    | ArrayLike
+    | TableLike
+)
+"""Rows of a Denavit-Hartenberg table, or a table with named columns."""
+
+
 @explain_errors
 def from_dh(
-    rows: Any,
+    rows: Rows,
     convention: str = "standard",
     name: str = "arm",
-    base: object = None,
-    tool: object = None,
+    base: PlacedAt | None = None,
+    tool: PlacedAt | None = None,
     parameters: Mapping[str, float] | None = None,
     *,
     deg: bool = False,
     columns: Sequence[str] = ORDER,
 ) -> Mechanism:
-    """Return the chain of a Denavit-Hartenberg table; the pose of body i is A1 A2 ... Ai.
+    """Return the chain of a Denavit-Hartenberg table.
 
-    The frame of body i is DH frame i.
+    Parameters
+    ----------
+    rows
+        One row a joint: `DHRow`, dicts with its fields, a table with named columns (a DataFrame, a
+        dict of lists), or plain rows of numbers, a list of tuples or an array (n, 4). Lengths are
+        metres, angles radians; both may be expressions in parameters.
+    convention
+        "standard" (default) or "modified", see the notes.
+    name
+        Name of the mechanism.
+    base
+        Pose of DH frame 0 on the ground: a matrix (4, 4), a `Placement`, or a dict such as
+        ``{"at": (0, 0, 0.3)}`` (default: the ground).
+    tool
+        Pose of the frame "tool" on the last body, likewise (default: the last DH frame).
+    parameters
+        Values of parameters by name.
+    deg
+        Whether angles are degrees: alpha, theta, and the offsets, limits and velocities of turning
+        joints (default: False).
+    columns
+        Order of the numbers of plain rows, which differs from book to book (default: a, alpha, d,
+        theta).
 
-    With `convention` "standard", Ai = Rz(theta) Tz(d) Tx(a) Rx(alpha) (Denavit and Hartenberg,
-    1955); with "modified", Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986). `rows` are `DHRow`,
-    dicts with their fields, a table with named columns (a DataFrame, a dict of lists), or plain
-    rows of numbers: a list of tuples, an array (n, 4). Of these `columns` names the order, which
-    differs from book to book. With `deg` angles are
-    degrees: alpha, theta, and offsets, limits and velocities of turning joints. Bodies are 'link1',
-    ... and joints 'q1', ... unless named. `base` is the pose of DH frame 0 on the
-    ground, `tool` that of the frame 'tool' on the last body: pose matrices (4, 4), `Placement` or
-    dicts of the keywords of `place`. Errors: `InputError`, also where an angle is not one in the
-    unit said: 90 without `deg`. Without `deg` an alpha beyond one turn is refused; a theta or an
-    offset beyond one turn, which calibrated arms have, is refused where it is more than 10 turns, a
-    whole or half number or within 0.5 of a multiple of 45, and where more angles of the table are
-    beyond one turn than within (below 0.1 they do not count; a single one is allowed).
+    Returns
+    -------
+    Mechanism
+        The chain. Bodies are "link1", ... and joints "q1", ... unless named; body i has DH frame i.
 
+    Raises
+    ------
+    InputError
+        If the table is empty, a number or word is wrong, or angles look like degrees without `deg`,
+        see the notes.
+
+    See Also
+    --------
+    from_screws : the chain of screw axes.
+
+    Notes
+    -----
+    The pose of body i is A1 A2 ... Ai. "standard" is Ai = Rz(theta) Tz(d) Tx(a) Rx(alpha) (Denavit
+    and Hartenberg, 1955); "modified" is Ai = Rx(alpha) Tx(a) Rz(theta) Tz(d) (Craig, 1986).
+
+    Without `deg` an alpha beyond one turn is refused. A theta or an offset beyond one turn, which
+    calibrated arms have, is refused where it is more than 10 turns, a whole or half number or
+    within 0.5 of a multiple of 45, and where more angles of the table are beyond one turn than
+    within (angles below 0.1 do not count; a single one is allowed).
+
+    Examples
+    --------
     >>> arm = from_dh([{"a": 0.5}, {"a": "l2"}], parameters={"l2": 0.4})
-    >>> float(arm.joints["q2"].X_CM.evaluate_pose(arm.parameters)[0, 3])
-    -0.4
+    >>> float(arm.build().fk([0.0, 0.0], "tool")[0, 3])
+    0.9
     >>> from_dh([(0, 90, 0.4, 0), (0.5, 0, 0, 30)], deg=True)
     Mechanism('arm', dim=3, bodies=2, joints=2)
     """
@@ -467,23 +524,51 @@ def add_dh_chain(
 
 @explain_errors
 def from_screws(
-    screws: Iterable[ScrewRow | Mapping[str, Any] | ArrayLike],
-    home: object = None,
+    screws: Iterable[ScrewRow | Mapping[str, object] | ArrayLike],
+    home: PlacedAt | None = None,
     name: str = "arm",
     parameters: Mapping[str, float] | None = None,
 ) -> Mechanism:
-    """Return the chain of screw axes, where body i has the pose exp(S1 q1) ... exp(Si qi).
+    """Return the chain of screw axes (product of exponentials).
 
-    The frame 'tool' has the pose of the last body times `home`.
+    Parameters
+    ----------
+    screws
+        One screw a joint, in the ground frame at q = 0: `ScrewRow`, dicts with its fields, or
+        twists [v; w] of six numbers, the linear part first. A screw is revolute, prismatic (w = 0)
+        or, with a pitch, helical.
+    home
+        Pose of the frame "tool" at q = 0: a matrix (4, 4), a `Placement`, or a dict such as
+        ``{"at": (0.9, 0, 0)}`` (default: the ground frame).
+    name
+        Name of the mechanism.
+    parameters
+        Values of parameters by name.
 
-    `screws` are `ScrewRow`, dicts with their fields, or plain twists [v; w], the linear part first,
-    in the ground frame at q = 0. A screw is revolute, prismatic (w = 0) or, with a pitch, helical.
-    `home` is the pose of the tool at q = 0: a matrix (4, 4), a `Placement` or a dict of the
-    keywords of `place`. All body frames coincide with the ground's at q = 0. Source: Brockett,
-    1984; Lynch and Park, 2017, chapter 4.
+    Returns
+    -------
+    Mechanism
+        The chain. At q = 0 all body frames are the ground frame.
 
-    >>> sorted(from_screws([[0, 0, 0, 0, 0, 1], [0, -0.5, 0, 0, 0, 1]], home={"at": (0.9, 0, 0)}).joints)
-    ['q1', 'q2']
+    Raises
+    ------
+    InputError
+        If there are no screws, or a number is wrong.
+
+    See Also
+    --------
+    from_dh : the chain of a Denavit-Hartenberg table.
+
+    Notes
+    -----
+    Body i has the pose exp(S1 q1) ... exp(Si qi), and the tool that of the last body times `home`
+    (Brockett, 1984; Lynch and Park, Modern Robotics, 2017, chapter 4; they write [w; v]).
+
+    Examples
+    --------
+    >>> arm = from_screws([[0, 0, 0, 0, 0, 1], [0, -0.5, 0, 0, 0, 1]], home={"at": (0.9, 0, 0)})
+    >>> arm.build().fk([0.0, 0.0], "tool")[:3, 3]
+    array([0.9, 0. , 0. ])
     """
     out = Mechanism(name)
     for key, number in (parameters or {}).items():
