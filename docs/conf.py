@@ -1,7 +1,6 @@
 """Sphinx configuration: furo, pages in Markdown, autodoc of the public names. No code is run."""
 
 import re
-from pathlib import Path
 
 from docutils.nodes import SkipNode
 from latex2mathml.converter import convert
@@ -15,6 +14,7 @@ version = release = __version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 napoleon_google_docstring = False
+napoleon_use_ivar = True  # attributes are listed once, by autodoc
 exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = f"Kempe {version}"
@@ -23,53 +23,33 @@ html_css_files = ["kempe.css"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
+suppress_warnings = [
+    "toc.not_included",  # pages of models: the gallery leads to them
+    "ref.python",  # names of attributes that several classes have
+]
 html_math_renderer = "mathml"
 
 default_role = "code"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
-autodoc_preserve_defaults = True
 add_module_names = False
 python_use_unqualified_type_names = True
 
 _LITERAL = re.compile(r"(``[^`]+``|`[^`]+`)")
-_GLOSSARY = (
-    Path(__file__).with_name("glossary.md").read_text(encoding="utf-8").partition("{glossary}\n")[2]
-)
-_TERMS = {t.lower(): t for t in re.findall(r"^\w.*", _GLOSSARY, re.MULTILINE) if len(t) > 7}
-"""Terms that docstrings link to: short ones are ordinary words, too."""
-_TERM = re.compile(
-    rf"(?<![\w-])({'|'.join(sorted(_TERMS, key=len, reverse=True))})s?(?![\w-])", re.IGNORECASE
-)
-
-
-def _linked(text, seen):
-    """Text whose terms link to the glossary, each where it is first seen."""
-
-    def link(match):
-        term = match[1].lower()
-        if term in seen:
-            return match[0]
-        seen.add(term)
-        return f":term:`{match[0]} <{_TERMS[term]}>`"
-
-    return _TERM.sub(link, text)
 
 
 def _plain(app, what, name, obj, options, lines):
     """Docstrings are plain text with code in backticks: other characters mean nothing to
-    reStructuredText.
+    reStructuredText, but in examples, which end with an empty line.
     """
-    seen = set()
-    lines[:] = [
-        "".join(
-            part if part.startswith("`") else _linked(re.sub(r"([*|_])", r"\\\1", part), seen)
-            for part in _LITERAL.split(line)
-        )
-        if ">>>" not in line and not line.startswith("    ")
-        else line
-        for line in lines
-    ]
+    is_example = False
+    for k, line in enumerate(lines):
+        is_example = line.lstrip().startswith(">>>") or (is_example and bool(line.strip()))
+        if not is_example:
+            lines[k] = "".join(
+                part if part.startswith("`") else re.sub(r"([*|_])", r"\\\1", part)
+                for part in _LITERAL.split(line)
+            )
 
 
 def _write_formula(translator, node):

@@ -128,11 +128,9 @@ def read_blocks(path: Path) -> list[Block]:
 
 
 def list_pages() -> list[Path]:
-    """List the pages whose code runs."""
-    every = [ROOT / "README.md", *DOCS.glob("**/*.md")]
-    return sorted(
-        p for p in every if "_build" not in p.parts and any(b.runs for b in read_blocks(p))
-    )
+    """List the pages whose code runs; docs/gallery_page.py runs that of the pages of models."""
+    every = [ROOT / "README.md", *DOCS.glob("*.md"), *DOCS.glob("add/*.md")]
+    return sorted(p for p in every if any(b.runs for b in read_blocks(p)))
 
 
 # ---- in a process of the page
