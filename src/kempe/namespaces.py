@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
@@ -14,6 +14,9 @@ from kempe.model.model import FrameLike
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from sympy import Expr, Matrix
+
+    from kempe.argument_types import ConfigurationLike, StartLike, TaskLike
     from kempe.assemble.bound import Assembler
     from kempe.assemble.dyads import Incomplete, Plan
     from kempe.budget import Budget
@@ -55,10 +58,10 @@ class Symbolic(Namespace):
         frame: FrameLike,
         *,
         relative_to: FrameLike | None = None,
-        symbols: Mapping[str, Any] | None = None,
+        symbols: Mapping[str, Expr | str | float] | None = None,
         snap: float = 0.0,
         short: bool = False,
-    ) -> Any:
+    ) -> Matrix | ShortForm:
         """Derive the forward kinematics of a frame as a SymPy matrix 4 x 4.
 
         It is in the ground frame or in another frame.
@@ -74,7 +77,11 @@ class Symbolic(Namespace):
 
     @explain_errors
     def steps(
-        self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+        self,
+        frame: FrameLike,
+        *,
+        symbols: Mapping[str, Expr | str | float] | None = None,
+        snap: float = 0.0,
     ) -> SymbolicSteps:
         """Derive the matrices whose product is the forward kinematics.
 
@@ -86,8 +93,12 @@ class Symbolic(Namespace):
 
     @explain_errors
     def jacobian(
-        self, frame: FrameLike, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
-    ) -> Any:
+        self,
+        frame: FrameLike,
+        *,
+        symbols: Mapping[str, Expr | str | float] | None = None,
+        snap: float = 0.0,
+    ) -> Matrix | ShortForm:
         """Derive the Jacobian of a frame as a SymPy matrix 6 x nv.
 
         See `kempe.forward.symbolic_steps`.
@@ -98,7 +109,7 @@ class Symbolic(Namespace):
 
     @explain_errors
     def closure(
-        self, *, symbols: Mapping[str, Any] | None = None, snap: float = 0.0
+        self, *, symbols: Mapping[str, Expr | str | float] | None = None, snap: float = 0.0
     ) -> SymbolicClosure:
         """Derive the equations f(q) = 0 of all loops.
 
@@ -114,7 +125,7 @@ class Symbolic(Namespace):
         frame: FrameLike,
         convention: str = "standard",
         *,
-        symbols: Mapping[str, Any] | None = None,
+        symbols: Mapping[str, Expr | str | float] | None = None,
         snap: float = 0.0,
     ) -> DHTable:
         """Derive the Denavit-Hartenberg table of a frame's chain.
@@ -131,7 +142,7 @@ class Symbolic(Namespace):
         frame: FrameLike,
         task: str | None = None,
         *,
-        symbols: Mapping[str, Any] | None = None,
+        symbols: Mapping[str, Expr | str | float] | None = None,
         snap: float = 0.0,
     ) -> InverseFormulas:
         """Derive formulas of the inverse kinematics of a planar arm, or a spatial arm with a wrist.
@@ -143,7 +154,7 @@ class Symbolic(Namespace):
         return derive_ik(self.system, frame, task, symbols=symbols, snap=snap)
 
     @explain_errors
-    def short(self, formula: Any) -> ShortForm:
+    def short(self, formula: Expr | Matrix) -> ShortForm:
         """Shorten a formula, with c12 for cos(q1 + q2), and return the short form and the legend.
 
         See `kempe.forward.symbolic_steps`.
@@ -203,8 +214,8 @@ class Inverse(Namespace):
         *,
         n: int | None = None,
         task: str | tuple[str, ArrayLike] | None = None,
-        start: Any = None,
-        fixed: Mapping[str, Any] | None = None,
+        start: StartLike | None = None,
+        fixed: Mapping[str, ArrayLike] | None = None,
         budget: Budget | None = None,
     ) -> Sweep:
         """Solve the inverse kinematics of a redundant chain for one target along one parameter.
@@ -263,11 +274,11 @@ class Inverse(Namespace):
     @explain_errors
     def self_motion(
         self,
-        q: Any,
-        tasks: Any,
+        q: ConfigurationLike,
+        tasks: FrameLike | TaskLike,
         *,
         task: str | tuple[str, ArrayLike] | None = None,
-        direction: Any = None,
+        direction: str | ArrayLike | None = None,
         budget: Budget | None = None,
     ) -> SelfMotion:
         """Trace the motion from a configuration that keeps a frame's pose or other tasks.
@@ -306,7 +317,9 @@ class Inverse(Namespace):
 
         return self_motion(self.system, q, tasks, task=task, direction=direction, budget=budget)
 
-    def arm_angle(self, q: Any, frame: FrameLike, reference: ArrayLike | None = None) -> Any:
+    def arm_angle(
+        self, q: ConfigurationLike, frame: FrameLike, reference: ArrayLike | None = None
+    ) -> float | Array:
         """Compute the arm angle of an arm with seven joints, a spherical shoulder and wrist.
 
         `kempe.inverse.arm_angle` defines the angle.
@@ -348,7 +361,7 @@ class Loops(Namespace):
         """
         return list_constraints(self.system)
 
-    def closure_error(self, q: Any) -> Array:
+    def closure_error(self, q: ConfigurationLike) -> Array:
         """Compute the gaps of all loops that cut joints close.
 
         Parameters
@@ -422,7 +435,7 @@ class Loops(Namespace):
     @explain_errors
     def jacobian(
         self,
-        q: Any,
+        q: ConfigurationLike,
         inputs: Sequence[str],
         outputs: Sequence[str],
         in_frame: str = "world_aligned",
@@ -466,14 +479,14 @@ class Loops(Namespace):
     @explain_errors
     def mechanical_advantage(
         self,
-        q: Any,
+        q: ConfigurationLike,
         input: str,
         output: str,
         direction: ArrayLike | None = None,
         still: Sequence[str] = (),
         *,
         tolerance: float | str | None = None,
-    ) -> Any:
+    ) -> float | Array:
         """Compute the ratio of output force to input force, without losses.
 
         Parameters
@@ -558,8 +571,12 @@ class Loops(Namespace):
 
     @explain_errors
     def transmission_angle(
-        self, q: Any, joint: str, coupler: str | None = None, output: str | None = None
-    ) -> Any:
+        self,
+        q: ConfigurationLike,
+        joint: str,
+        coupler: str | None = None,
+        output: str | None = None,
+    ) -> float | Array:
         """Compute the transmission angle at a joint between the coupler and the output link.
 
         Parameters
@@ -650,7 +667,7 @@ class ReachStudies(Namespace):
         self,
         targets: ArrayLike,
         frame: FrameLike,
-        box: Mapping[str, Any],
+        box: Mapping[str, float | tuple[float, float]],
         cells: int | Mapping[str, int] = 11,
         *,
         task: str | tuple[str, ArrayLike] | None = None,
@@ -737,7 +754,7 @@ class ReachStudies(Namespace):
 
     @explain_errors
     def planar(
-        self, frame: FrameLike, kind: str | None = None, orientation: Any = None
+        self, frame: FrameLike, kind: str | None = None, orientation: ArrayLike | None = None
     ) -> PlanarWorkspace:
         """Compute the exact workspace of a frame of a planar system.
 

@@ -5,7 +5,7 @@ They call the functions of later layers.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NoReturn
 
@@ -25,8 +25,25 @@ from kempe.views.plot_options import PlotOptions
 if TYPE_CHECKING:
     from pathlib import Path as FilePath
 
+    from distributed import Client
     from matplotlib.axes import Axes
+    from numpy.typing import DTypeLike
 
+    from kempe.answers.answer import Answer
+    from kempe.argument_types import (
+        ConfigurationLike,
+        Frames,
+        HeldLike,
+        Inputs,
+        KnownValues,
+        Limits,
+        MotionLike,
+        PoseLike,
+        Preference,
+        StartLike,
+        TargetLike,
+        TaskLike,
+    )
     from kempe.assemble.answer import Assembly
     from kempe.assemble.modes import Modes
     from kempe.assemble.nearest_exact import Idealised
@@ -108,7 +125,13 @@ class Pictured:
 
     @explain_errors
     @add_signature_options(PlotOptions)
-    def plot(self: Any, q: Any = None, *, path: Any = None, **options: Any) -> Any:
+    def plot(
+        self: Any,
+        q: StartLike | Answer | None = None,
+        *,
+        path: MotionLike | None = None,
+        **options: Any,
+    ) -> Axes | tuple[Axes, ...]:
         """Draw the system at one or several configurations, or along a motion.
 
         Parameters
@@ -156,11 +179,11 @@ class Pictured:
     @explain_errors
     def animate(
         self: Any,
-        path: Any,
+        path: MotionLike,
         file: str | FilePath,
         *,
-        frames: Any = (),
-        labels: Any = False,
+        frames: FrameLike | Sequence[FrameLike] = (),
+        labels: bool | str | Sequence[str] = False,
         seconds: float = 4.0,
         fps: float = 15.0,
     ) -> FilePath:
@@ -201,10 +224,10 @@ class Pictured:
     @explain_errors
     def show(
         self: Any,
-        q: Any = None,
+        q: StartLike | None = None,
         *,
         frame: FrameLike | None = None,
-        path: Any = None,
+        path: MotionLike | None = None,
         share: bool = False,
         port: int | None = None,
         browser: bool = True,
@@ -257,7 +280,12 @@ class Pictured:
 
     @explain_errors
     def save_html(
-        self: Any, file: str | FilePath, q: Any = None, *, path: Any = None, seconds: float = 6.0
+        self: Any,
+        file: str | FilePath,
+        q: StartLike | None = None,
+        *,
+        path: MotionLike | None = None,
+        seconds: float = 6.0,
     ) -> None:
         """Write an HTML page with the system in space, which needs no server or network.
 
@@ -324,10 +352,10 @@ class Pictured:
         frame: FrameLike,
         *,
         points: ArrayLike = (),
-        q: Any = None,
+        q: StartLike | MotionLike | Sequence[MotionLike] | None = None,
         task: str | None = None,
         grid: bool = False,
-        ax: Any = None,
+        ax: Sequence[Axes] | None = None,
         resolution: int = 240,
         budget: Budget | None = None,
     ) -> tuple[Axes, Axes]:
@@ -527,7 +555,12 @@ class System(Model, Pictured):
 
     @explain_errors
     def task_space(
-        self, tasks: Any, q: Any = None, *, task: str | None = None, budget: Budget | None = None
+        self,
+        tasks: FrameLike | TaskLike,
+        q: StartLike | None = None,
+        *,
+        task: str | None = None,
+        budget: Budget | None = None,
     ) -> TaskSpace:
         """Compute the dimension of a task, its ranks, and bounds of its image.
 
@@ -575,12 +608,12 @@ class System(Model, Pictured):
         frame: FrameLike,
         *,
         kind: str | None = None,
-        orientation: Any = None,
+        orientation: ArrayLike | None = None,
         at: ArrayLike | None = None,
         n: float | None = None,
-        cells: Any = None,
-        box: Any = None,
-        client: Any = None,
+        cells: int | Sequence[int] | None = None,
+        box: ArrayLike | None = None,
+        client: Client | str | None = None,
         path: str | FilePath | None = None,
         budget: Budget | None = None,
     ) -> Workspace:
@@ -679,12 +712,12 @@ class System(Model, Pictured):
 
     def fk(
         self,
-        q: Any,
-        frame: FrameLike | list[Any] | tuple[Any, ...] | None = None,
+        q: ConfigurationLike,
+        frame: FrameLike | Frames | None = None,
         out: Array | None = None,
         threads: int | None = None,
         form: str | None = None,
-        dtype: Any = None,
+        dtype: DTypeLike | None = None,
         relative_to: FrameLike | None = None,
     ) -> Array:
         """Compute the poses of bodies and frames at configurations (forward kinematics).
@@ -737,8 +770,8 @@ class System(Model, Pictured):
 
     def jacobian(
         self,
-        q: Any,
-        frame: FrameLike | list[Any] | tuple[Any, ...],
+        q: ConfigurationLike,
+        frame: FrameLike | Frames,
         in_frame: str = "world_aligned",
         threads: int | None = None,
     ) -> Array:
@@ -782,7 +815,9 @@ class System(Model, Pictured):
 
         return jacobian(self, q, frame, in_frame, threads)
 
-    def query(self, frame: FrameLike, form: str | None = None, dtype: Any = None) -> Query:
+    def query(
+        self, frame: FrameLike, form: str | None = None, dtype: DTypeLike | None = None
+    ) -> Query:
         """Return the forward kinematics of one frame as a fast function.
 
         Names are looked up and arrays are packed once, so that later calls are fast.
@@ -821,12 +856,12 @@ class System(Model, Pictured):
     @partial(explain_errors, fast=True)
     def ik(
         self,
-        target: Any,
+        target: TargetLike,
         frame: FrameLike | None = None,
-        start: Any = None,
+        start: StartLike | None = None,
         *,
         task: str | tuple[str, ArrayLike] | None = None,
-        prefer: Any = None,
+        prefer: Preference | None = None,
         method: str | None = None,
         tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
@@ -907,7 +942,7 @@ class System(Model, Pictured):
             and target.__class__ is ARRAY
             and not history
         ):
-            key = (frame, task if task is None else str(task), target.ndim)
+            key = (frame, task if task is None else str(task), target.ndim)  # type: ignore[union-attr]
             bound = self._kept["ik"].get(key)
             if (
                 bound is not None
@@ -933,12 +968,12 @@ class System(Model, Pictured):
     @partial(explain_errors, fast=True)
     def ik_all(
         self,
-        target: Any,
+        target: PoseLike,
         frame: FrameLike,
-        start: Any = None,
+        start: StartLike | None = None,
         *,
         task: str | tuple[str, ArrayLike] | None = None,
-        fixed: Mapping[str, Any] | None = None,
+        fixed: Mapping[str, ArrayLike] | None = None,
         limits: bool | str = False,
         tolerance: float | None = None,
         budget: Budget | None = None,
@@ -1001,7 +1036,7 @@ class System(Model, Pictured):
         plain = (
             frame.__class__ is str and start is task is tolerance is budget is None and not limits
         )
-        if plain and target.__class__ is ARRAY and target.shape == (4, 4):
+        if plain and target.__class__ is ARRAY and target.shape == (4, 4):  # type: ignore[union-attr]
             key = frame if fixed is None else (frame, *fixed) if fixed.__class__ is dict else None
             bound = self._kept["ik_all"].get(key)
             if bound is not None and (answer := bound(target, fixed)) is not None:
@@ -1023,9 +1058,9 @@ class System(Model, Pictured):
     @explain_errors
     def ik_path(
         self,
-        targets: Any,
+        targets: TargetLike,
         frame: FrameLike | None = None,
-        start: Any = None,
+        start: StartLike | None = None,
         *,
         max_step: float = 0.5,
         restart: bool = False,
@@ -1104,15 +1139,15 @@ class System(Model, Pictured):
     @partial(explain_errors, fast=True)
     def ik_step(
         self,
-        q: Any,
-        wanted: Any,
+        q: ConfigurationLike,
+        wanted: TargetLike,
         frame: FrameLike | None = None,
         dt: float = 0.0,
         *,
-        velocity_limits: Any = None,
+        velocity_limits: ArrayLike | None = None,
         damping: float = 0.05,
         keep_direction: bool = False,
-        weights: Any = None,
+        weights: ArrayLike | None = None,
     ) -> IkStep:
         """Compute velocities that give a frame a twist, or move it to a pose, within all limits.
 
@@ -1272,13 +1307,13 @@ class System(Model, Pictured):
     @partial(explain_errors, fast=True)
     def assemble(
         self,
-        known: Mapping[str, Any] | None = None,
-        start: Any = None,
+        known: KnownValues | None = None,
+        start: StartLike | None = None,
         *,
         branch: str | None = None,
         prefer: str | None = None,
         limits: bool = True,
-        also: Any = (),
+        also: HeldLike = (),
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Assembly:
@@ -1390,8 +1425,8 @@ class System(Model, Pictured):
     @explain_errors
     def assembly_modes(
         self,
-        known: Mapping[str, Any] | None = None,
-        start: Any = None,
+        known: KnownValues | None = None,
+        start: StartLike | None = None,
         *,
         limits: bool = True,
         frame: FrameLike | None = None,
@@ -1454,7 +1489,11 @@ class System(Model, Pictured):
 
     @explain_errors
     def independent(
-        self, q: Any = None, prefer: Iterable[str] = (), *, tolerance: float | str | None = None
+        self,
+        q: StartLike | None = None,
+        prefer: Iterable[str] = (),
+        *,
+        tolerance: float | str | None = None,
     ) -> Chart:
         """Choose independent coordinates at a closed configuration; they determine all others.
 
@@ -1504,7 +1543,7 @@ class System(Model, Pictured):
     @explain_errors
     def mobility(
         self,
-        q: Any = None,
+        q: StartLike | None = None,
         actuated: Iterable[str] | None = None,
         *,
         local: bool = True,
@@ -1558,7 +1597,7 @@ class System(Model, Pictured):
 
     def classify(
         self,
-        q: Any = None,
+        q: StartLike | None = None,
         *,
         t: float = 0.0,
         project: bool = False,
@@ -1615,7 +1654,7 @@ class System(Model, Pictured):
     def trace(
         self,
         driver: str | None = None,
-        start: Any = None,
+        start: StartLike | None = None,
         *,
         hold: Mapping[str, float] | None = None,
         toward: Mapping[str, float] | None = None,
@@ -1705,9 +1744,9 @@ class System(Model, Pictured):
     @explain_errors
     def drive(
         self,
-        inputs: Mapping[str, Any],
-        times: Any = None,
-        start: Any = None,
+        inputs: Inputs,
+        times: ArrayLike | None = None,
+        start: StartLike | None = None,
         *,
         hold: Mapping[str, float] | None = None,
         toward: Mapping[str, float] | None = None,
@@ -1795,8 +1834,8 @@ class System(Model, Pictured):
     @explain_errors
     def manoeuvre(
         self,
-        start: Any,
-        goal: Any,
+        start: StartLike,
+        goal: StartLike,
         *,
         radius: float | None = None,
         budget: Budget | None = None,
@@ -1849,11 +1888,11 @@ class System(Model, Pictured):
     def simulate(
         self,
         duration: float,
-        start: Any = None,
+        start: StartLike | None = None,
         *,
-        inputs: Mapping[str, Any] | None = None,
-        velocity: Any = None,
-        acceleration: Any = None,
+        inputs: Inputs | None = None,
+        velocity: ArrayLike | None = None,
+        acceleration: ArrayLike | None = None,
         restitution: float = 1.0,
         tolerance: float | None = None,
         budget: Budget | None = None,
@@ -1925,7 +1964,7 @@ class System(Model, Pictured):
 
     # ---- other systems from this one
 
-    def with_parameters(self, **numbers: Any) -> System | Designs[System]:
+    def with_parameters(self, **numbers: ArrayLike) -> System | Designs[System]:
         """Return the system with other parameter values, or a batch of designs.
 
         Parameters
@@ -1979,7 +2018,11 @@ class System(Model, Pictured):
 
         return open_loops(self, joints)
 
-    def with_limits(self, limits: Any = None, velocity: Any = None) -> System:
+    def with_limits(
+        self,
+        limits: Limits | None = None,
+        velocity: Mapping[str, float | None] | ArrayLike | None = None,
+    ) -> System:
         """Return the system with other limits; tree, coordinates and postures stay the same.
 
         Parameters

@@ -287,7 +287,7 @@ def _build_drawing(system: System, path: Motion, names: list[str]) -> Any:
     """Return the drawing of a path and its other branches; a row of NaN separates two curves."""
     gap = np.full((1, system.nq), np.nan)
     parts = [path.q, *(part for other in path.others for part in (gap, other.q))]
-    all_of_it = SimpleNamespace(q=np.vstack(parts), driver=path.driver, frames=path.frames)
+    all_of_it: Any = SimpleNamespace(q=np.vstack(parts), driver=path.driver, frames=path.frames)
     return system.plot(path=all_of_it, frames=names, ghosts=0 if names or len(path) < 2 else 5)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
 import typer
@@ -109,7 +109,9 @@ def run_ik(
         held = arguments.parse_known_values(system, hold or [], output.deg)
         answer: Any = system.ik_all(wanted, frame or "", fixed=held, **common)
     else:
-        answer = system.ik(wanted, frame, prefer=prefer, budget=Budget(rng=rng), **common)
+        answer = system.ik(
+            wanted, frame, prefer=cast("Any", prefer), budget=Budget(rng=rng), **common
+        )
     output.save_table(answer)
     output.draw_configurations(system, answer)
     output.finish_command(answer)

@@ -23,6 +23,7 @@ from kempe.numerics.pool import sum_over_chunks
 from kempe.spatial import Array, matrix_to_quat_wxyz
 
 if TYPE_CHECKING:
+    from kempe.argument_types import Frames
     from kempe.model.model import FrameLike, Model
 
 
@@ -372,7 +373,7 @@ def _pack_frames(system: Model, frames: tuple[str, ...] | None) -> tuple[np.ndar
 def fk(
     system: Model,
     q: Any,
-    frame: FrameLike | list[Any] | tuple[Any, ...] | None = None,
+    frame: FrameLike | Frames | None = None,
     out: Array | None = None,
     threads: int | None = None,
     form: str | None = None,
@@ -413,7 +414,7 @@ def fk(
 def jacobian(
     system: Model,
     q: Any,
-    frame: FrameLike | list[Any] | tuple[Any, ...],
+    frame: FrameLike | Frames,
     in_frame: str = "world_aligned",
     threads: int | None = None,
 ) -> Array:

@@ -30,6 +30,7 @@ from kempe.inverse.solve_all import BATCH, SOLVERS, USUAL
 from kempe.numerics.clock import TimeLimit, limit_preparation_time
 
 if TYPE_CHECKING:
+    from kempe.argument_types import PoseLike
     from kempe.assemble.modes import Modes
     from kempe.model.model import FrameLike, Model
 
@@ -39,7 +40,7 @@ LIMITS = (False, True, "turns")
 @explain_errors
 def ik_all(
     system: Model,
-    target: ArrayLike,
+    target: PoseLike,
     frame: FrameLike,
     start: Any = None,
     *,

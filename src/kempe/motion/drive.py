@@ -86,6 +86,7 @@ from kempe.status import Status
 from kempe.words import InWords, format_count
 
 if TYPE_CHECKING:
+    from kempe.argument_types import StartLike
     from kempe.assemble.bound import Assembler
     from kempe.model.model import FrameLike, Model
 
@@ -1028,7 +1029,7 @@ def drive(
     system: Model,
     inputs: Mapping[str, ArrayLike | Callable[[float], float]],
     times: ArrayLike | None = None,
-    start: ArrayLike | Mapping[str, float] | str | None = None,
+    start: StartLike | None = None,
     *,
     hold: Mapping[str, float] | None = None,
     toward: Mapping[str, float] | None = None,

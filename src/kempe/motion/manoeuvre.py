@@ -34,6 +34,7 @@ from kempe.spatial import Array
 from kempe.words import format_count
 
 if TYPE_CHECKING:
+    from kempe.argument_types import StartLike
     from kempe.model.model import FrameLike, Model
 
 
@@ -415,8 +416,8 @@ USUAL = Usual("manoeuvre", points=200, time_limit=SHORT)
 @explain_errors
 def manoeuvre(
     system: Model,
-    start: ArrayLike | Mapping[str, float] | None,
-    goal: ArrayLike | Mapping[str, float],
+    start: StartLike,
+    goal: StartLike,
     *,
     radius: float | None = None,
     budget: Budget | None = None,

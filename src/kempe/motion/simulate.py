@@ -35,6 +35,7 @@ from kempe.spatial import Array
 from kempe.words import InWords, format_count
 
 if TYPE_CHECKING:
+    from kempe.argument_types import StartLike
     from kempe.model.model import FrameLike, Model
 
 
@@ -543,7 +544,7 @@ class Simulation(Motion):
 def simulate(
     system: Model,
     duration: float,
-    start: ArrayLike | Mapping[str, float] | str | None = None,
+    start: StartLike | None = None,
     *,
     inputs: Mapping[str, Any] | None = None,
     velocity: ArrayLike | Mapping[str, float] | None = None,

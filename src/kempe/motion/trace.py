@@ -13,7 +13,6 @@ from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from kempe.arguments import explain_errors, raise_interrupted, read_flag
 from kempe.arrays import is_mapping, is_whole
@@ -62,6 +61,7 @@ from kempe.spatial import Array
 from kempe.words import make_plural
 
 if TYPE_CHECKING:
+    from kempe.argument_types import StartLike
     from kempe.model.model import Model
 
 
@@ -287,7 +287,7 @@ def _make_unstarted_path(
 def trace(
     system: Model,
     driver: str | None = None,
-    start: ArrayLike | Mapping[str, float] | str | None = None,
+    start: StartLike | None = None,
     *,
     hold: Mapping[str, float] | None = None,
     toward: Mapping[str, float] | None = None,

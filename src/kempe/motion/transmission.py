@@ -38,6 +38,7 @@ from kempe.status import Status, to_status
 from kempe.words import Quantity, format_count
 
 if TYPE_CHECKING:
+    from kempe.argument_types import ConfigurationLike
     from kempe.model.model import Model
 
 
@@ -124,7 +125,7 @@ class LoopJacobian(Report):
 @answer_within_tolerance("q")
 def compute_loop_jacobian(
     system: Model,
-    q: ArrayLike,
+    q: ConfigurationLike,
     inputs: Sequence[str],
     outputs: Sequence[str],
     in_frame: str = "world_aligned",
@@ -218,7 +219,7 @@ def _find_output(system: Model, name: str) -> tuple[str, str]:
 @answer_within_tolerance("q")
 def compute_mechanical_advantage(
     system: Model,
-    q: ArrayLike,
+    q: ConfigurationLike,
     input: str,
     output: str,
     direction: ArrayLike | None = None,
@@ -278,7 +279,11 @@ def find_dead_points(path: Path, input: str) -> tuple[Event, ...]:
 
 
 def compute_pressure_angle(
-    system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
+    system: Model,
+    q: ConfigurationLike,
+    joint: str,
+    coupler: str | None = None,
+    output: str | None = None,
 ) -> Any:
     """Compute the pressure angle (...) at a joint, in [0, pi/2].
 
@@ -308,7 +313,11 @@ def compute_pressure_angle(
 
 @explain_errors
 def compute_transmission_angle(
-    system: Model, q: ArrayLike, joint: str, coupler: str | None = None, output: str | None = None
+    system: Model,
+    q: ConfigurationLike,
+    joint: str,
+    coupler: str | None = None,
+    output: str | None = None,
 ) -> Any:
     """Compute the transmission angle (...) at a joint, in [0, pi/2].
 
