@@ -34,7 +34,7 @@ kernels: base | forward dyads | one_frame closed_form constraints | elimination 
 joints
 constraints
 library description
-model
+model argument_types
 numerics
 forward
 equations

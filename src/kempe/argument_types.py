@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
-    from kempe.answers.answer import Answer
     from kempe.constraints.base import Constraint
     from kempe.description.parts import Body, Frame
     from kempe.model.model import FrameLike
@@ -21,6 +20,15 @@ class JointStateLike(Protocol):
 
     name: Sequence[str]
     position: Sequence[float]
+
+
+class HasConfigurations(Protocol):
+    """An answer with configurations."""
+
+    @property
+    def q(self) -> Array:
+        """Configurations (n, nq)."""
+        ...
 
 
 class PoseMessage(Protocol):
@@ -114,7 +122,7 @@ Inputs: TypeAlias = Mapping[str, float | Array | Sequence[float] | Callable[[flo
 """Values by name: numbers, arrays over the time, or functions of the time in seconds."""
 Limits: TypeAlias = Mapping[str, tuple[float | None, float | None] | None] | ArrayLike
 """Pairs (lower, upper) by coordinate name, with None for no limit, or an array (n, 2)."""
-MotionLike: TypeAlias = "Answer | ArrayLike"
+MotionLike: TypeAlias = ArrayLike | HasConfigurations
 """A motion: configurations (n, nq), or an answer that has them."""
 Frames: TypeAlias = "list[str] | list[Body] | list[Frame] | list[FrameLike] | tuple[FrameLike, ...]"
 """Several bodies or frames, by their names or as declared."""

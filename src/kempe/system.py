@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import DTypeLike
 
-    from kempe.answers.answer import Answer
     from kempe.argument_types import (
         ConfigurationLike,
         Frames,
+        HasConfigurations,
         HeldLike,
         Inputs,
         KnownValues,
@@ -127,7 +127,7 @@ class Pictured:
     @add_signature_options(PlotOptions)
     def plot(
         self: Any,
-        q: StartLike | Answer | None = None,
+        q: StartLike | HasConfigurations | None = None,
         *,
         path: MotionLike | None = None,
         **options: Any,
