@@ -375,6 +375,66 @@ def test_no_joint_turns_back_at_once_often(name, hunt):
     assert not bad, bad
 
 
+SITUATIONS = ("singular", "stretched", "limit", "unreachable", "reversing", "twist")
+
+
+def wanted_in(situation: str, s: System, frame: str) -> tuple[np.ndarray, list[np.ndarray]]:
+    """A start, and what is wanted: one motion, or one and then its reverse."""
+    q = np.where(np.isfinite(s.mid), s.mid, 0.0)
+    bent = np.clip(q + 0.4, s.lower, s.upper)
+    if situation == "singular":
+        return q, [np.array([0.1, 0.05, 0.1, 0.0, 0.0, 0.0])]
+    X = s.fk(bent, frame)
+    out = X[:3, 3] / max(np.linalg.norm(X[:3, 3]), 1e-9)
+    if situation == "stretched":
+        return bent, [np.append(0.3 * out, np.zeros(3))]
+    if situation == "limit":
+        at = np.where(np.arange(s.nq) % 2 == 0, np.minimum(s.upper, 3.0), bent)
+        return at, [np.array([-0.1, 0.1, 0.2, 0.3, 0.0, 0.0])]
+    if situation == "unreachable":
+        X[:3, 3] += 3.0 * out
+        return bent, [X]
+    twist = np.array([0.1, -0.1, 0.05, 0.2, 0.1, -0.1])
+    return bent, [twist, -twist] if situation == "reversing" else [twist]
+
+
+def count_turns(s: System, situation: str, dt: float, kept: bool, cycles: int) -> int:
+    """Cycles in which a joint turns back above a twentieth of its limit of speed, but for those in
+    which what is wanted is reversed.
+    """
+    frame = tip(s)
+    q, motions = wanted_in(situation, s, frame)
+    turns = 0
+    for wanted in motions:
+        Q = motion(s, q, wanted, frame, dt, cycles * dt, velocity_limits=1.0, keep_direction=kept)
+        q = Q[-1]
+        turns += turns_at_speed(Q, dt, 1.0)
+        if kept and wanted.ndim == 1 and motions == [wanted]:
+            p = s.fk(Q, frame)[:, :3, 3]
+            along = (p - p[0]) @ wanted[:3]
+            assert np.diff(along).min() > -1e-9, (s.name, situation, dt)  # never back
+    return turns
+
+
+@pytest.mark.parametrize("dt", [0.0005, 0.001, 0.004, 0.01])
+@pytest.mark.parametrize("name", TWELVE)
+def test_no_joint_turns_back_in_any_situation(name, dt):
+    s = kempe.load(name)
+    for situation in SITUATIONS:
+        for kept in (False, True):
+            assert count_turns(s, situation, dt, kept, 60) == 0, (situation, kept)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dt", [0.0005, 0.001, 0.004, 0.01])
+@pytest.mark.parametrize("name", TWELVE)
+def test_no_joint_turns_back_in_a_thousand_cycles(name, dt):
+    s = kempe.load(name)
+    for situation in SITUATIONS:
+        for kept in (False, True):
+            assert count_turns(s, situation, dt, kept, 1000) == 0, (situation, kept)
+
+
 @pytest.mark.parametrize(
     ("name", "q", "twist"),
     some(

@@ -198,7 +198,8 @@ class BoundStep:
         rows = get_row_integers(chain.ints)
         place = {int(r[V_INDEX]): int(r[Q_INDEX]) for r in rows if r[KIND] != BALL}
         balls = sorted({(int(r[Q_INDEX]), int(r[V_INDEX])) for r in rows if r[KIND] == BALL})
-        head = (len(chain.q_index), n, len(balls), system.nq, system.nv, len(chain.ints))
+        plain = len(rows) == n and not balls and (rows[:, V_INDEX] == np.arange(n)).all()
+        head = (len(chain.q_index), n, len(balls), system.nq, system.nv, int(plain))
         self.ints = np.concatenate(
             [
                 head,

@@ -2,11 +2,11 @@
 
 HEAD = 6
 """Integers in front: coordinates q of the chain, its velocities, quaternions, coordinates q of the
-system, its velocities, integers of the chain's table."""
+system, its velocities, whether each velocity moves one row of the chain's table, in order."""
 
 BALLS = 2
-"""Place of the number of quaternions in the head; vector coordinates are the velocities without
-three for each quaternion."""
+PLAIN = 5
+"""Places of the number of quaternions in the head, and of whether each velocity moves one row."""
 
 NEAR = 0
 METRIC = 1

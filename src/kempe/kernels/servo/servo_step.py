@@ -19,6 +19,7 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import FLAG, FLOAT, OUT, F, I
+from kempe.kernels.base.linear import factor_matrix, substitute_back
 from kempe.kernels.base.rotations import compute_rotation_vector, turn_quaternion
 from kempe.kernels.base.scratch import advance_pointer
 from kempe.kernels.base.vectors import get_pointer, keep_alive
@@ -35,6 +36,7 @@ from kempe.kernels.servo.servo_layout import (
     HEAD,
     METRIC,
     NEAR,
+    PLAIN,
     SLOW,
     TWIST,
     WRONG_SHAPE,
@@ -152,6 +154,8 @@ class Servo(NamedTuple):
     weighted: bool
     even: bool
     """Whether the logarithm's own derivative leaves the gradient alone."""
+    plain: bool
+    """Whether each velocity moves one row of the table, a turn or a slide, in their order."""
     kept: bool
     """Whether the direction is kept."""
     dt: float
@@ -417,6 +421,44 @@ def solve_unbounded_wish(servo, more, x):
             part *= compute_dot(advance_pointer(u, ROWS * i), b, ROWS)
             for j in range(n):
                 x[j] += part * v[i * n + j]
+
+
+@routine
+def solve_regular_wish(servo, more, x):
+    """Write the x (n,) of `solve_unbounded_wish` by normal equations where no singular value is
+    below `near`; return whether that is so.
+
+    What remains after `near` squared is taken off the normal equations proves it by its factors.
+    """
+    n = servo.n
+    a = servo.rows
+    b = advance_pointer(a, ROWS * n)
+    m = min(ROWS, n)
+    normal = servo.work
+    right = advance_pointer(normal, m * m)
+    for k in range(2):
+        shift = more * more if k else -servo.near * servo.near
+        for i in range(m):
+            for j in range(i + 1):
+                total = shift if i == j else 0.0
+                if n >= ROWS:
+                    for c in range(n):
+                        total += a[i * n + c] * a[j * n + c]
+                else:
+                    for c in range(ROWS):
+                        total += a[c * n + i] * a[c * n + j]
+                normal[i * m + j] = total
+        if not factor_matrix(normal, m):
+            return False
+    if n >= ROWS:
+        for i in range(ROWS):
+            right[i] = b[i]
+        substitute_back(normal, ROWS, right)
+        multiply_columns(a, right, ROWS, n, x)
+    else:
+        multiply_columns(a, b, ROWS, n, x)
+        substitute_back(normal, n, x)
+    return True
 
 
 @routine
@@ -788,9 +830,14 @@ def approach_nearest_pose(servo, q, move, square, out):
     comes_back = False
     for j in range(n):
         comes_back = comes_back or move.low[j] > 0.0 or move.high[j] < 0.0
-    solve_unbounded_wish(servo, RESIDUAL * math.sqrt(square), x)
+    more = RESIDUAL * math.sqrt(square)
+    regular = solve_regular_wish(servo, more, x)
     compute_velocity_bounds(servo, q, False, least, most)
-    whole = is_inside(x, least, most, n)
+    whole = regular and is_inside(x, least, most, n)
+    decomposed = not whole
+    if decomposed:
+        solve_unbounded_wish(servo, more, x)
+        whole = is_inside(x, least, most, n)
     if not whole:
         minimize_damped_residual(servo, x, least, most, y)
         for j in range(n):
@@ -812,7 +859,9 @@ def approach_nearest_pose(servo, q, move, square, out):
     if gain >= ENOUGH_GAIN:
         for j in range(n):
             out[j] = y[j]
-        return whole and part == 1.0 and has_arrived(servo, left)
+        return regular and whole and part == 1.0 and has_arrived(servo, left)
+    if not decomposed:
+        solve_unbounded_wish(servo, more, x)
     descend_to_second_order(servo, q, move, square, least, most, y)
     if comes_back:
         for j in range(n):
@@ -827,17 +876,50 @@ def approach_nearest_pose(servo, q, move, square, out):
 
 @routine
 def has_arrived(servo, left):
-    """Return whether the squared error is so small that the next velocities are small, too."""
-    smallest = get_singular_values(servo)[1][min(ROWS, servo.n) - 1]
-    if servo.weighted or smallest < servo.near:
-        return False
+    """Return whether the squared error is so small that the next velocities of a regular chain are
+    small, too.
+    """
     slowest = math.inf
     for j in range(servo.n):
         slowest = min(slowest, servo.fastest[j])
-    return (
-        2.0 * math.sqrt(left) * max(1.0, 1.0 / servo.metric[0])
-        <= smallest * servo.dt * SLOW * slowest
-    )
+    reach = servo.near * servo.dt * SLOW * slowest
+    return not servo.weighted and 2.0 * math.sqrt(left) * max(1.0, 1.0 / servo.metric[0]) <= reach
+
+
+@routine
+def fill_chain_curvature(servo, move, h):
+    """Subtract from H (n, n) the weighted error times the chain's second derivatives, from the
+    columns of its Jacobian; each of them moves one row of the table, and they are in order.
+
+    The column of a joint turns with the joints before it.
+    """
+    n = servo.n
+    j = move.jacobian
+    f = servo.metric[0] * move.missing[0]
+    g = servo.metric[1] * move.missing[1]
+    k = servo.metric[2] * move.missing[2]
+    r = servo.metric[3] * move.missing[3]
+    s = servo.metric[4] * move.missing[4]
+    t = servo.metric[5] * move.missing[5]
+    for a in range(n):
+        x = j[3 * n + a]
+        y = j[4 * n + a]
+        z = j[5 * n + a]
+        # force . (w_a x v_b) = v_b . (force x w_a), moment . (w_a x w_b) alike
+        fx = g * z - k * y
+        fy = k * x - f * z
+        fz = f * y - g * x
+        rx = s * z - t * y
+        ry = t * x - r * z
+        rz = r * y - s * x
+        for b in range(a, n):
+            linear = fx * j[b] + fy * j[n + b] + fz * j[2 * n + b]
+            # symmetric: only the later of two turns about the earlier
+            angular = 0.5 * (rx * j[3 * n + b] + ry * j[4 * n + b] + rz * j[5 * n + b])
+            value = (linear + angular) * servo.unit[a] * servo.unit[b]
+            h[a * n + b] -= value
+            if a != b:
+                h[b * n + a] -= value
 
 
 @routine
@@ -868,7 +950,9 @@ def fill_hessian(servo, q, move, h):
                 for k in range(ROWS):
                     total += move.slopes[k * n + i] * rate[k * n + j]
                 h[i * n + j] = total
-    for i in range(n):
+    if servo.even and servo.plain:
+        fill_chain_curvature(servo, move, h)
+    for i in range(0 if servo.even and servo.plain else n):
         way[i] = servo.unit[i]
         compute_ends(servo, q, way, DIFFERENCE)
         way[i] = 0.0
@@ -983,6 +1067,23 @@ def descend_to_second_order(servo, q, move, square, low, high, out):
 
 
 @routine
+def is_convex(h, n, work):
+    """Return whether the factors of a symmetric matrix prove that its least eigenvalue is above
+    `FLAT` times the largest.
+    """
+    size = 0.0
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            work[i * n + j] = h[i * n + j]
+            total += abs(h[i * n + j])
+        size = max(size, total)
+    for i in range(n):
+        work[i * n + i] -= FLAT * size
+    return factor_matrix(work, n)
+
+
+@routine
 def take_newton_step(servo, h, push, low, high, z, way):
     """Write the z (n,) in a box that minimises z H z / 2 - push z, H's curvatures made positive;
     return the least curvature of what is free where it is negative, else 0, and write its
@@ -995,6 +1096,9 @@ def take_newton_step(servo, h, push, low, high, z, way):
     free = advance_pointer(servo.vectors, 20 * n)
     values = advance_pointer(servo.vectors, 21 * n)
     right = advance_pointer(servo.vectors, 22 * n)
+    if is_convex(h, n, servo.work):
+        minimize_quadratic_in_box(h, push, n, low, high, z, free, servo.work)
+        return 0.0
     compute_eigenvectors(h, n, values, v, servo.work)
     most = max(-values[0], max(values[n - 1], 1e-300))
     if values[0] > FLAT * most:
@@ -1085,24 +1189,28 @@ def compute_move(servo, q, move):
     for i in range(ROWS):
         move.twist[i] = servo.goal[i]
     fill_rows(servo, move)
-    solve_unbounded_wish(servo, 0.0, x)
-    s = get_singular_values(servo)[1]
-    k = min(ROWS, n)
-    if (
-        k > 0
-        and s[k - 1] >= servo.near
-        and (not servo.kept or n >= ROWS)
-        and is_inside(x, move.low, move.high, n)
-    ):
+    regular = n > 0 and solve_regular_wish(servo, 0.0, x)
+    kept = servo.kept and not (regular and n >= ROWS and is_inside(x, move.low, move.high, n))
+    if kept or not regular:
+        solve_unbounded_wish(servo, 0.0, x)
+    if regular and not kept and is_inside(x, move.low, move.high, n):
         slowest = math.inf
         for j in range(n):
             move.velocity[j] = x[j]
             slowest = min(slowest, servo.fastest[j])
+        square = 0.0
+        for i in range(ROWS * n):
+            square += servo.rows[i] * servo.rows[i]
         speed = compute_dot(x, x, n)
-        bound = servo.dt * math.sqrt(float(n)) * (s[0] * speed / s[k - 1])
+        bound = servo.dt * math.sqrt(float(n) * square) * speed / servo.near
         return int(bound <= SLOW * slowest and has_room(servo, q, x))
-    if servo.kept:
+    if kept:
         keep_direction(servo, q, move.low, move.high, move.velocity)
+    elif regular:
+        hard = get_singular_values(servo)[2]
+        for i in range(ROWS):
+            hard[i] = 0.0
+        minimize_damped_residual(servo, x, move.low, move.high, move.velocity)
     else:
         slide_along_limits(servo, q, x, move.low, move.high, move.velocity)
     return 0
@@ -1309,6 +1417,7 @@ def compute_frame_step(ints, floats, q, wanted, speed, weights, dt, damping, kep
         posed,
         weighted,
         not weighted or (w[3] == w[4] and w[4] == w[5]),
+        i_[PLAIN] != 0,
         kept,
         dt,
         damping,
