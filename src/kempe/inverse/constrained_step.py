@@ -253,12 +253,12 @@ class ConstrainedSteps:
         box = Stage(N.T[:0], low[:0], rows, np.append(low[own], least), np.append(high[own], most))
         some.take_stage(box.make_remaining_stage(rest), 0.0)
         for k, stage in enumerate(stages):
+            last = k + 1 == len(stages)
             some.take_stage(
-                stage.make_remaining_stage(rest),
-                damping,
-                twist,
-                model if k + 1 == len(stages) else None,
+                stage.make_remaining_stage(rest), damping, twist, model if last else None
             )
+            if not last:
+                some.keep_equations(stage)
         least, most = speeds or (low, high)
         return np.minimum(np.maximum(rest + N @ some.z, least), most)
 
@@ -648,11 +648,11 @@ class _Descent:
         if len(wish) and free.shape[1]:
             if twist is not None and twist.kept:
                 y = scale_solution_to_bounds(
-                    equations, wish, low, high, twist.dt, twist.bend, self.G @ free, None
+                    equations, wish, low, high, twist.dt, twist.bend, self.G @ free
                 )
             elif twist is not None:
                 y = minimize_damped_residual(
-                    equations, wish, low, high, damping, self.G @ free, None, twist.bend, SHIFT
+                    equations, wish, low, high, damping, self.G @ free, twist.bend, SHIFT
                 )
             else:
                 if model is not None:
@@ -665,9 +665,7 @@ class _Descent:
                         free.T @ model @ free, pull, equations, damping
                     )
                     damping = 0.0
-                y = minimize_damped_residual(
-                    equations, wish, low, high, damping, self.G @ free, None
-                )
+                y = minimize_damped_residual(equations, wish, low, high, damping, self.G @ free)
             self.z = self.z + free @ (
                 y if self.speeds is None else self._slow_velocities(y, equations, low, high)
             )
@@ -676,7 +674,11 @@ class _Descent:
             self._add_bounds(
                 G[out], np.minimum(stage.low[out], value), np.maximum(stage.high[out], value)
             )
-        self.free = free @ Spectrum(A @ free, 1.0).compute_null_space(Level.CLOSED)
+
+    def keep_equations(self, stage: Stage) -> None:
+        """Leave to later stages what moves none of the equations of a stage."""
+        A = stage.A @ (self.N @ self.free)
+        self.free = self.free @ Spectrum(A, 1.0).compute_null_space(Level.CLOSED)
 
     def _slow_velocities(self, y: Array, equations: Array, low: Array, high: Array) -> Array:
         """Shorten y (k,) to the limits of speed, then find the nearest allowed velocities."""
@@ -742,33 +744,49 @@ def make_convex_problem(H: Array, pull: Array, J: Array, damping: float) -> tupl
     return np.sqrt(size)[:, None] * V.T, (pull @ V) / np.sqrt(size)
 
 
-def list_stages(problem: Demands, q: Array, dt: float) -> list[Stage]:
-    """List the stages of tasks at q (..., nq): their errors vanish after dt."""
-    packed = problem.packed
-    loops = problem.packed.loops
-    error, J = packed.evaluate_tasks(q, problem.pins)
-    levels, strengths, *_ = problem.levels
-    counts = np.array([len(t.row_names) for t in loops.ties])
-    own = packed.rows >= 0
-    level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
-    weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]
-    low, high = packed.row_bounds
-    equal = low == high
-    J = weight[:, None] * J
-    low = weight * (low - error) / dt
-    high = weight * (high - error) / dt
-    out: list[Stage] = []
-    for s in range(1, int(level.max(initial=0)) + 1):
-        same = (level == s) & equal
-        between = (level == s) & ~equal
-        ends = low[..., between], high[..., between]
-        out.append(
-            Stage(
-                J[..., same, :],
-                low[..., same],
-                J[..., between, :],
-                *ends,
-                bool(hard[level == s][0]),
+class StageMaker:
+    """The stages of tasks, with all that does not depend on the configuration looked up once."""
+
+    def __init__(self, problem: Demands, dt: float):
+        self.evaluate = problem.packed.evaluate_tasks
+        self.pins = problem.pins
+        packed = problem.packed
+        levels, strengths, *_ = problem.levels
+        counts = np.array([len(t.row_names) for t in packed.loops.ties])
+        own = packed.rows >= 0
+        level, hard = (np.repeat(x, counts)[own] for x in levels.reshape(2, -1))
+        weight = np.repeat(np.sqrt(strengths[:, 0]), counts)[own]
+        low, high = packed.row_bounds
+        equal = low == high
+        self.weight = weight[:, None]
+        self.rate = weight / dt
+        self.low = low * self.rate
+        self.high = high * self.rate
+        self.parts = [
+            (
+                np.flatnonzero((level == k) & equal),
+                np.flatnonzero((level == k) & ~equal),
+                bool(hard[level == k][0]),
             )
-        )
-    return out
+            for k in range(1, int(level.max(initial=0)) + 1)
+        ]
+        """Rows of equations and of inequalities of each stage, and whether it is hard."""
+
+    def __call__(self, q: Array) -> list[Stage]:
+        """Make the stages at q (..., nq): the errors of the tasks vanish after dt."""
+        error, J = self.evaluate(q, self.pins)
+        J = self.weight * J
+        error = self.rate * error
+        low = self.low - error
+        high = self.high - error
+        return [
+            Stage(
+                J[..., equal, :],
+                low[..., equal],
+                J[..., between, :],
+                low[..., between],
+                high[..., between],
+                hard,
+            )
+            for equal, between, hard in self.parts
+        ]

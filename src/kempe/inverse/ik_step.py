@@ -17,7 +17,7 @@ from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.forward.fk import query, refuse_bad_configuration
 from kempe.inverse.chain.serial_chain import find_chain, find_obstacle
-from kempe.inverse.constrained_step import ConstrainedSteps, Stage, list_stages
+from kempe.inverse.constrained_step import ConstrainedSteps, Stage, StageMaker
 from kempe.kernels.compiled import make_allocator, servo_step
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -496,7 +496,7 @@ def _read_wanted_motion(
             np.asarray(levels).tobytes(),
             np.asarray(strengths).tobytes(),
         )
-        return lambda x: list_stages(problem, x, dt), NONE, asked
+        return StageMaker(problem, dt), NONE, asked
     goal = _parse_motion(wanted)
     pose_of = query(system, frame)
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from kempe.spatial import Array
 Bend = Callable[[Array], Array]
 """Derivatives (k, m, n) of equations A (m, n) along directions (k, n)."""
 NEAR = 0.05
-"""Singular values below it are damped, those at zero fully."""
+"""Singular values below this part of the largest are damped, those at zero fully."""
 SHIFT = 2.0
 """Weight, as a multiple of `NEAR`, by which joints beside those at a bound keep the velocities
 without bounds."""
@@ -48,42 +47,32 @@ def minimize_damped_residual(
     low: Array,
     high: Array,
     damping: float,
-    G: Array | None = None,
-    near: float | None = NEAR,
+    G: Array,
     bend: Bend | None = None,
     shift: float = LEAST,
-    wished: Wish | None = None,
 ) -> Array:
     """Find the damped x (n,) with low <= G x <= high that minimises |A x - b|.
 
-    Directions whose singular values are below `near` are damped, by at most `damping` (Maciejewski
-    and Klein, 1988). Where this x is outside the bounds, the nearest one within them is taken, in
-    the metric of the damped equations and of x itself with the weight `shift`: with `SHIFT`, x
-    changes slowly where others take over. Without G the bounds are those of x; with it zero must be
-    within them. Without `near` both are relative to the largest singular value. A singular
-    configuration that leads nowhere to first order is left where `bend` gives a way. `wished` is
-    the solution without bounds, where it is known.
+    Directions whose singular values are below `NEAR` times the largest are damped, by at most
+    `damping` times that (Maciejewski and Klein, 1988). Where this x is outside the bounds, the
+    nearest one within them is taken, in the metric of the damped equations and of x itself with the
+    weight `shift`: with `SHIFT`, x changes slowly where others take over. A singular configuration
+    that leads nowhere to first order is left where `bend` gives a way.
     """
-    x, hard, s, Vt = wished or solve_unbounded_wish(A, b, damping, near)
+    x, hard, s, Vt = _solve_unbounded_wish(A, b, damping)
     n = A.shape[1]
     k = len(s)
-    most = float(s[:1].max(initial=0.0))
+    most = float(s[:1].max(initial=0.0)) or 1.0
     if bend is not None and (way := _find_bending_direction(A, b, s, Vt, bend)) is not None:
         force, lead = way
-        slow = damping * (most or 1.0) if near is None else damping
-        fastest = (
-            compute_feasible_fraction((lead if G is None else G @ lead) / NOISE, low, high) / NOISE
-        )
+        slow = damping * most
+        fastest = compute_feasible_fraction(G @ lead / NOISE, low, high) / NOISE
         x = x + (min(force / (2.0 * slow), fastest) if slow else fastest) * lead
-    value = x if G is None else G @ x
+    value = G @ x
     if (value >= low).all() and (value <= high).all():
         return x
-    weak = shift * (near or NEAR * (most or 1.0))
-    if G is None:
-        H = A.T @ A + (Vt[:k].T * hard**2) @ Vt[:k] + weak**2 * np.eye(n)
-        return minimize_quadratic_in_box(H, H @ x, low, high)[0]
     kept = hard > 0.0
-    rows = np.concatenate([A, hard[kept, None] * Vt[:k][kept], weak * np.eye(n)])
+    rows = np.concatenate([A, hard[kept, None] * Vt[:k][kept], shift * NEAR * most * np.eye(n)])
     return minimize_bounded_residual(rows, rows @ x, low, high, G)
 
 
@@ -111,42 +100,24 @@ def _find_bending_direction(
     return (force, dead.T @ W[:, -1]) if values[-1] > AWAY else None
 
 
-class Wish(NamedTuple):
-    """Damped solution x (n,) of least squares, and its damping in each singular direction.
+def _solve_unbounded_wish(A: Array, b: Array, damping: float) -> tuple[Array, Array, Array, Array]:
+    """Minimise |A x - b| damped and without bounds.
 
-    The damping (k,) belongs to singular values `s` (k,) of A; the right singular vectors are (n,
-    n).
+    Returns x (n,), the damping (k,) of the singular values, these (k,), and the right singular
+    vectors (n, n).
     """
-
-    x: Array
-    hard: Array
-    s: Array
-    Vt: Array
-
-    @property
-    def rows(self) -> Array:
-        """Rows (k, n) whose squares are the damping."""
-        some = self.hard > 0.0
-        return self.hard[some, None] * self.Vt[: len(self.hard)][some]
-
-
-def solve_unbounded_wish(
-    A: Array, b: Array, damping: float, near: float | None = NEAR, more: float = 0.0
-) -> Wish:
-    """Minimise |A x - b| damped and without bounds; `more` damps all directions."""
     U, s, Vt = compute_svd(A)
     most = float(s[0]) if len(s) else 0.0
     seen = s > Level.ROUNDING * most
-    if near is None:
-        near = NEAR * (most or 1.0)
-        damping = damping * (most or 1.0)
+    near = NEAR * (most or 1.0)
     hard = np.where(
-        seen & (s < near), damping * np.sqrt(np.maximum(1.0 - (s / near) ** 2, 0.0)), 0.0
+        seen & (s < near),
+        damping * (most or 1.0) * np.sqrt(np.maximum(1.0 - (s / near) ** 2, 0.0)),
+        0.0,
     )
-    hard = np.sqrt(np.square(hard) + more * more) if more else hard
     k = len(s)
     part = np.where(seen, s / np.where(seen, s * s + hard * hard, 1.0), 0.0)
-    return Wish(Vt[:k].T @ (part * (U[:, :k].T @ b)), hard, s, Vt)
+    return Vt[:k].T @ (part * (U[:, :k].T @ b)), hard, s, Vt
 
 
 def scale_solution_to_bounds(
@@ -156,8 +127,7 @@ def scale_solution_to_bounds(
     high: Array,
     dt: float,
     bend: Bend,
-    G: Array | None = None,
-    near: float | None = NEAR,
+    G: Array,
 ) -> Array:
     """Find a small x (n,) with low <= G x <= high that keeps the direction of b.
 
@@ -171,14 +141,13 @@ def scale_solution_to_bounds(
     """
     n = A.shape[1]
     size = math.sqrt(b @ b)
-    inside = np.minimum(np.maximum(0.0, low), high) if G is None else np.zeros(n)
-    if not size or inside.any() or not n:
-        return inside
+    still = np.zeros(n)
+    if not size or not n:
+        return still
     U, s, Vt = compute_svd(A)
     k = len(s)
     most = float(s[0])
-    near = near or NEAR * (most or 1.0)
-    G = np.eye(n) if G is None else G
+    near = NEAR * (most or 1.0)
     along = U[:, :k].T @ b
     weak = s < near
     left = np.abs(along) - np.where(
@@ -187,12 +156,12 @@ def scale_solution_to_bounds(
     along = np.sign(along) * np.maximum(left, 0.0)
     blind = U[:, k:].T @ b
     if math.sqrt(blind @ blind) > BENT * size:
-        return inside
+        return still
     dead = s <= Level.GENERIC * most
     y = Vt[:k].T @ np.where(dead, 0.0, along / np.where(dead, 1.0, s))
     if (along[dead] != 0.0).any():
         if (way := _find_bending_direction(A, b, s, Vt, bend)) is None:
-            return inside
+            return still
         x = way[1] / NOISE
         return compute_feasible_fraction(G @ x, low, high) * x
     part = compute_feasible_fraction(G @ y, low, high)
@@ -208,7 +177,7 @@ def scale_solution_to_bounds(
                 np.where(falls < -WALL * s[weak], WALL * s[weak] / -np.minimum(falls, -1e-300), 1.0)
             )
         )
-    return x if float(b @ (A @ x)) > NO_PART * size * size else inside
+    return x if float(b @ (A @ x)) > NO_PART * size * size else still
 
 
 def compute_feasible_fraction(x: Array, low: Array, high: Array) -> float:
