@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from kempe.description.urdf_writer import write_urdf
 from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.bench import Bench
@@ -62,7 +65,10 @@ class MinkStream(Stream):
         mink = peers.module("mink")
         mujoco = peers.module("mujoco")
         super().__init__(start, [mink.SE3.from_matrix(X) for X in targets])
-        model, _ = peers.mujoco_model(arm.file)
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "arm.urdf"  # without fingers
+            file.write_text(write_urdf(arm.system.mechanism), encoding="utf-8")
+            model, _ = peers.mujoco_model(file)
         self.configuration = mink.Configuration(model)
         self.configuration.update(start)
         self.solve = mink.solve_ik
