@@ -9,7 +9,7 @@ import itertools
 import kempe_bench as benchmark
 import numpy as np
 import pytest
-from kempe_bench import forward, inverse, peers, timing, trees
+from kempe_bench import forward, inverse, peers, redundant, timing, trees
 from kempe_bench.bench import Bench
 
 import kempe
@@ -32,6 +32,8 @@ def quick(monkeypatch):
         (inverse, "TARGETS", 20),
         (inverse, "BATCH", 40),
         (inverse, "SLOW_TARGETS", 1),
+        (redundant, "TARGETS", 10),
+        (redundant, "BATCH", 20),
     ):
         monkeypatch.setattr(module, name, value)
 
@@ -119,7 +121,7 @@ def test_sections_run(quick, monkeypatch, installed):
     if not installed:
         monkeypatch.setattr(peers, "robot_file", lambda name: None)
     wanted = [p for p in ("pin", "mujoco") if p in peers.installed()]
-    sections = ["batch", "single", "tree", "threads", "growth", "files", "inverse"]
+    sections = ["batch", "single", "tree", "threads", "growth", "files", "redundant", "inverse"]
     said: list[str] = []
     tables = list(benchmark.benchmark(sections, wanted, said.append))
     assert len(tables) == len(sections) - (peers.robot_file("talos_full_v2.urdf") is None)
