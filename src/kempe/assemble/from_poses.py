@@ -57,15 +57,51 @@ FULL_TURN = 2.0 * math.pi
 
 @explain_errors
 def from_maximal(
-    system: Model, poses: ArrayLike, start: Any = None, tolerance: float | None = None
+    system: Model,
+    poses: ArrayLike,
+    start: ArrayLike | Mapping[str, ArrayLike] | str | None = None,
+    tolerance: float | None = None,
 ) -> Array:
-    """Compute the configuration (..., nq) from the poses (..., n_b, 4, 4) of the bodies.
+    """Compute configurations from the poses of all bodies but the ground.
 
-    Angles are those nearest to the configuration `start` (default: `System.mid`), and so are the
-    signs of quaternions; a driver has made the full turns that those which follow it tell. Limits
-    and one-sided rows are not looked at. Errors: `InputError` for poses that violate a joint, a
-    constraint or a coupling by more than `tolerance` (metres or radians, by default 1e-6), naming
-    it and by how much, and for matrices that are no poses.
+    Parameters
+    ----------
+    system
+        System of the configurations.
+    poses
+        Poses (..., n_b, 4, 4) in the ground frame.
+    start
+        Configuration (..., nq) to which angles and signs of quaternions are nearest (default:
+        `System.mid`).
+    tolerance
+        Largest violation of a joint, constraint or coupling in metres or radians (default: 1e-6).
+
+    Returns
+    -------
+    Array
+        Configurations (..., nq). Limits and inequalities are not checked.
+
+    Raises
+    ------
+    InputError
+        If poses violate a joint, a constraint or a coupling, with its name and by how much, or a
+        matrix is no pose.
+
+    See Also
+    --------
+    to_maximal : the way back.
+
+    Notes
+    -----
+    A coordinate that others follow has made the full turns that the followers tell.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> robot = kempe.load("two_link")
+    >>> poses = kempe.convert.to_maximal(robot, [0.1, 0.2])
+    >>> kempe.convert.from_maximal(robot, poses).round(6)
+    array([0.1, 0.2])
     """
     poses = read_poses(system, poses)
     tolerance = READ if tolerance is None else tolerance

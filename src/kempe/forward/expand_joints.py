@@ -30,12 +30,34 @@ class _SingleJoint(NamedTuple):
 def expand_joints(system: SystemType) -> SystemType:
     """Return the same system with revolute and prismatic joints only.
 
-    Links of zero length connect them.
+    Parameters
+    ----------
+    system
+        System with joints of any type.
 
-    A joint of one freedom stays as it is, one of several becomes a chain of joints that have the
-    names of its coordinates, so that `q` is the same; a screw becomes a turn and a slide that
-    follows it. A ball becomes three turns about z, y and x, with angles in place of its quaternion.
-    Errors: `InputError` where a quaternion is coupled or locked.
+    Returns
+    -------
+    System
+        System in which links of zero length connect the parts of a joint. Coordinates keep their
+        names, so that `q` is the same unless a joint has a quaternion.
+
+    Raises
+    ------
+    InputError
+        If a quaternion is coupled or locked.
+
+    Notes
+    -----
+    A joint with one freedom stays as it is. A screw becomes a turn and a slide that follows it. A
+    ball becomes three turns about z, y and x, with angles in place of its quaternion.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> m = kempe.Mechanism("shaft")
+    >>> _ = m.universal("U", m.ground, m.body("shaft"))
+    >>> kempe.convert.expand_joints(m.build()).coordinate_names
+    ('U.rx', 'U.ry')
     """
     m = system.mechanism
     joints = m.joints

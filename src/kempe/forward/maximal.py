@@ -8,8 +8,9 @@ ones: its count is
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,14 +32,36 @@ if TYPE_CHECKING:
 @explain_errors
 @keep_answers
 def maximal(system: SystemType) -> SystemType:
-    """Return the system in maximal coordinates: one free joint for each body, all joints cut.
+    """Return the system in maximal coordinates: a free joint for each body, all joints cut.
 
-    The free joints have the names of their bodies (with a number where a joint has that name) and
-    come first; then come the joints of the system, as they are: `q` is the pairs, then the q of the
-    system. Particles have their positions only; where the system stands far from the ground's
-    origin, they are measured from a point in its midst. Couplings, locks, limits, declared
-    constraints and parameters are those of the system; so are the postures, and where there is none
-    'closed' is home, bodies in place.
+    Parameters
+    ----------
+    system
+        System in joint coordinates.
+
+    Returns
+    -------
+    System
+        System whose configuration is the poses of the bodies, followed by the configuration of
+        `system`. Couplings, locks, limits, declared constraints and parameters are those of
+        `system`.
+
+    See Also
+    --------
+    maximal_q : its configurations.
+
+    Notes
+    -----
+    Free joints have the names of their bodies, with a number where a joint has that name. Particles
+    have positions only. Where the system is far from the origin of the ground, positions are
+    measured from a point in its midst. Postures are those of the system; without any, 'closed' is
+    its home configuration.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> kempe.convert.maximal(kempe.load("two_link")).name
+    'two_link, maximal'
     """
     m = system.mechanism
     joints = m.joints
@@ -74,22 +97,50 @@ def maximal(system: SystemType) -> SystemType:
 
 
 @explain_errors
-def to_maximal(system: Model, q: Any) -> Array:
-    """Compute the poses (..., n_b, 4, 4) of all bodies but the ground at q (..., nq).
+def to_maximal(system: Model, q: ArrayLike | Mapping[str, ArrayLike]) -> Array:
+    """Compute the poses of all bodies but the ground.
 
-    Where loops are open, the poses are those along the spanning tree.
+    Parameters
+    ----------
+    system
+        System of the configurations.
+    q
+        Configurations (..., nq) in radians and metres, or values by coordinate name.
+
+    Returns
+    -------
+    Array
+        Poses (..., n_b, 4, 4) in the ground frame. Where loops are open, they are those along the
+        spanning tree.
+
+    See Also
+    --------
+    from_maximal : the way back.
     """
     return np.ascontiguousarray(fk(system, q)[..., 1:, :, :])
 
 
 @explain_errors
-def maximal_q(system: Model, q: Any = None, poses: ArrayLike | None = None) -> Array:
-    """Return the configuration (..., nq) of `maximal(system)` for joints at `q` and given poses.
+def maximal_q(
+    system: Model,
+    q: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    poses: ArrayLike | None = None,
+) -> Array:
+    """Return configurations of `maximal(system)`.
 
-    Poses are an array (..., n_b, 4, 4).
+    Parameters
+    ----------
+    system
+        System in joint coordinates.
+    q
+        Configurations (..., nq) of its joints (default: home).
+    poses
+        Poses (..., n_b, 4, 4) of all bodies but the ground (default: those at `q`).
 
-    Without `q` the joints are at home; without poses the bodies are where `q` puts them. Nothing
-    needs to be closed.
+    Returns
+    -------
+    Array
+        Configurations of the maximal system. Loops and joints need not be closed.
     """
     q = find_home(system) if q is None else read_q(system, q)
     return _join_coordinates(

@@ -7,9 +7,9 @@ and not imported.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,6 +53,24 @@ ON_CIRCLE = 1e-3
 """How far the length of a cosine and sine may be from 1."""
 SHOWN = 8
 """Problems that one message names."""
+
+
+class LibraryModel(Protocol):
+    """A model of Pinocchio or MuJoCo."""
+
+    nq: int
+    nv: int
+
+
+class JointState(Protocol):
+    """A message of ROS with names and values of coordinates."""
+
+    name: Any
+    position: Any
+    velocity: Any
+
+
+Message = TypeVar("Message", bound=JointState)
 
 
 class Place(NamedTuple):
@@ -359,7 +377,9 @@ class Correspondence:
     Errors: `InputError` that names joints without a counterpart, and followers that do not fit.
     """
 
-    def __init__(self, system: Model, model: Any, tolerance: float = FIT, partial: bool = False):
+    def __init__(
+        self, system: Model, model: LibraryModel, tolerance: float = FIT, partial: bool = False
+    ):
         library = _find_library(model)
         self.system = system
         self.library = library.name
@@ -695,21 +715,49 @@ def _check_library(library: Library, model: Any) -> None:
 @explain_errors
 def to_pinocchio(
     system: Model,
-    q: Any,
-    model: Any,
+    q: ArrayLike | Mapping[str, ArrayLike],
+    model: LibraryModel,
     v: ArrayLike | None = None,
     base: ArrayLike | None = None,
-) -> Any:
-    """Convert configurations (..., nq) to those of a Pinocchio model.
+) -> Array | tuple[Array, Array]:
+    """Convert configurations of a system to those of a Pinocchio model.
 
-    With `v` (..., nv), return a pair of configuration and velocity.
+    Parameters
+    ----------
+    system
+        System whose configurations are converted.
+    q
+        Configurations (..., nq) in radians and metres, or values by coordinate name.
+    model
+        Model of Pinocchio (`pinocchio.Model`). Joints are paired by name.
+    v
+        Velocities (..., nv), which are converted, too (default: none).
+    base
+        Configuration of the model: joints that only one side has are as there, and at rest
+        (default: joints without a counterpart are an error).
 
-    Quaternions become x, y, z, w, angles of continuous joints cosine and sine, the linear velocity
-    of a free base one along its own axes, and followers have their values where they are joints of
-    the model. With `base`, a configuration of the model, joints that only one side has are as there,
-    and at rest. For Jacobians, and for many calls, see `Correspondence`. Errors: `InputError` that
-    names joints without a counterpart.
+    Returns
+    -------
+    Array or tuple
+        Configurations of the model, with `v` a pair of configurations and velocities.
 
+    Raises
+    ------
+    InputError
+        If joints have no counterpart; the message names them.
+
+    See Also
+    --------
+    Correspondence : many conversions, and Jacobians.
+
+    Notes
+    -----
+    Quaternions become x, y, z, w, and angles of continuous joints cosine and sine. The linear
+    velocity of a free base is along its own axes. Followers have their values where they are joints
+    of the model.
+
+    Examples
+    --------
     >>> import kempe
     >>> from types import SimpleNamespace
     >>> hinge = {"idx_q": 0, "idx_v": 0, "nq": 2, "nv": 1, "shortname": lambda: "JointModelRUBZ"}
@@ -728,18 +776,43 @@ def to_pinocchio(
 def from_pinocchio(
     system: Model,
     q: ArrayLike,
-    model: Any,
+    model: LibraryModel,
     v: ArrayLike | None = None,
-    base: Any = None,
+    base: ArrayLike | Mapping[str, ArrayLike] | None = None,
     tolerance: float = FIT,
-) -> Any:
-    """Convert configurations of a Pinocchio model to those (..., nq) of the system.
+) -> Array | tuple[Array, Array]:
+    """Convert configurations of a Pinocchio model to those of a system.
 
-    With `v`, return a pair of configuration and velocity.
+    Parameters
+    ----------
+    system
+        System for which they are converted.
+    q
+        Configurations of the model.
+    model
+        Model of Pinocchio (`pinocchio.Model`). Joints are paired by name.
+    v
+        Velocities of the model, which are converted, too (default: none).
+    base
+        Configuration of the system: joints that only one side has are as there, and at rest
+        (default: joints without a counterpart are an error).
+    tolerance
+        Largest misfit of followers, locked and fixed joints in radians or metres, relative to 1 and
+        the number.
 
-    With `base`, a configuration of the system, joints that only one side has are as there, and at
-    rest. Errors: `InputError` for joints without a counterpart, and with the numbers for followers, locked
-    and fixed joints that do not fit within `tolerance`.
+    Returns
+    -------
+    Array or tuple
+        Configurations (..., nq), with `v` a pair of configurations and velocities (..., nv).
+
+    Raises
+    ------
+    InputError
+        If joints have no counterpart, or followers, locked or fixed joints do not fit.
+
+    See Also
+    --------
+    Correspondence : many conversions, and Jacobians.
     """
     return _convert_from_library(PINOCCHIO, system, q, model, v, base, tolerance)
 
@@ -747,18 +820,45 @@ def from_pinocchio(
 @explain_errors
 def to_mujoco(
     system: Model,
-    q: Any,
-    model: Any,
+    q: ArrayLike | Mapping[str, ArrayLike],
+    model: LibraryModel,
     v: ArrayLike | None = None,
     base: ArrayLike | None = None,
-) -> Any:
-    """Convert configurations (..., nq) to the `qpos` of a MuJoCo model (an MjModel).
+) -> Array | tuple[Array, Array]:
+    """Convert configurations of a system to those of a MuJoCo model.
 
-    With `v` (..., nv), return a pair of `qpos` and `qvel`.
+    Parameters
+    ----------
+    system
+        System whose configurations are converted.
+    q
+        Configurations (..., nq) in radians and metres, or values by coordinate name.
+    model
+        Model of MuJoCo (`mujoco.MjModel`). Joints are paired by name.
+    v
+        Velocities (..., nv), which are converted, too (default: none).
+    base
+        Configuration of the model: joints that only one side has are as there, and at rest
+        (default: joints without a counterpart are an error).
 
-    Several joints of one body are found by the body that the joint here moves. With `base`, a
-    `qpos`, joints that only one side has are as there, and at rest. For Jacobians, and for many
-    calls, see `Correspondence`. Errors: `InputError` that names joints without a counterpart.
+    Returns
+    -------
+    Array or tuple
+        `qpos` of the model, with `v` a pair of `qpos` and `qvel`.
+
+    Raises
+    ------
+    InputError
+        If joints have no counterpart; the message names them.
+
+    See Also
+    --------
+    Correspondence : many conversions, and Jacobians.
+
+    Notes
+    -----
+    Several joints of one body in the model are paired with the one joint that moves the body of this
+    name in the system.
     """
     return _convert_to_library(MUJOCO, system, q, model, v, base)
 
@@ -767,17 +867,43 @@ def to_mujoco(
 def from_mujoco(
     system: Model,
     q: ArrayLike,
-    model: Any,
+    model: LibraryModel,
     v: ArrayLike | None = None,
-    base: Any = None,
+    base: ArrayLike | Mapping[str, ArrayLike] | None = None,
     tolerance: float = FIT,
-) -> Any:
-    """Convert the `qpos` of a MuJoCo model to configurations (..., nq) of the system.
+) -> Array | tuple[Array, Array]:
+    """Convert configurations of a MuJoCo model to those of a system.
 
-    With its `qvel` as `v`, return a pair of configuration and velocity.
+    Parameters
+    ----------
+    system
+        System for which they are converted.
+    q
+        `qpos` of the model.
+    model
+        Model of MuJoCo (`mujoco.MjModel`). Joints are paired by name.
+    v
+        `qvel` of the model, which are converted, too (default: none).
+    base
+        Configuration of the system: joints that only one side has are as there, and at rest
+        (default: joints without a counterpart are an error).
+    tolerance
+        Largest misfit of followers, locked and fixed joints in radians or metres, relative to 1 and
+        the number. MuJoCo holds followers by springs, which may need a larger tolerance.
 
-    `base` and errors are as of `from_pinocchio`. MuJoCo holds followers by springs, so that they may
-    need a larger `tolerance`.
+    Returns
+    -------
+    Array or tuple
+        Configurations (..., nq), with `v` a pair of configurations and velocities (..., nv).
+
+    Raises
+    ------
+    InputError
+        If joints have no counterpart, or followers, locked or fixed joints do not fit.
+
+    See Also
+    --------
+    Correspondence : many conversions, and Jacobians.
     """
     return _convert_from_library(MUJOCO, system, q, model, v, base, tolerance)
 
@@ -786,15 +912,49 @@ def from_mujoco(
 
 
 @explain_errors
-def to_joint_state(system: Model, q: Any, message: Any, v: ArrayLike | None = None) -> Any:
-    """Fill a ROS message JointState with names and positions of one configuration.
+def to_joint_state(
+    system: Model,
+    q: ArrayLike | Mapping[str, ArrayLike],
+    message: Message,
+    v: ArrayLike | None = None,
+) -> Message:
+    """Fill a ROS message JointState with one configuration, and return the message.
 
-    With `v` (nv,), fill its velocities, too. Return the message.
+    Parameters
+    ----------
+    system
+        System of the configuration.
+    q
+        Configuration (nq,) in radians and metres, or values by coordinate name.
+    message
+        Message with the fields `name`, `position` and `velocity`. Names that it has are kept in
+        their order; without names it gets all coordinates, followers included.
+    v
+        Velocity (nv,), which fills `velocity` (default: left as it is).
 
-    Names that the message has are kept in their order; else they are all coordinates, followers,
-    too. Joints with a quaternion have no place in it: a free base is sent as the pose of
-    its body.
-    Errors: `UnknownNameError` for a name of the message that is no coordinate.
+    Returns
+    -------
+    JointState
+        The message itself.
+
+    Raises
+    ------
+    UnknownNameError
+        If a name of the message is no coordinate.
+
+    Notes
+    -----
+    Joints with a quaternion have no place in the message; a free base is sent as the pose of its
+    body.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from types import SimpleNamespace
+    >>> message = SimpleNamespace(name=["q2", "q1"], position=[], velocity=[])
+    >>> arm = kempe.load("two_link")
+    >>> kempe.convert.to_joint_state(arm, [0.1, 0.2], message).position
+    [0.2, 0.1]
     """
     q = read_one_q(system, q)
     laws = {name: Follower(name, 1.0, 0.0) for name in system.coordinate_names}
@@ -834,16 +994,48 @@ def _evaluate_followers(names: Sequence[str], x: Array, laws: list[Follower]) ->
 
 @explain_errors
 def from_joint_state(
-    system: Model, message: Any, base: ArrayLike | None = None, velocity: bool = False
-) -> Any:
-    """Convert a ROS message JointState to a configuration (nq,).
+    system: Model, message: JointState, base: ArrayLike | None = None, velocity: bool = False
+) -> Array | tuple[Array, Array]:
+    """Convert a ROS message JointState to a configuration.
 
-    With `velocity`, return a pair of configuration and velocity (nv,).
+    Parameters
+    ----------
+    system
+        System for which it is converted.
+    message
+        Message with the fields `name`, `position` and, with `velocity`, `velocity`.
+    base
+        Configuration (nq,) for coordinates that the message does not name (default: neutral).
+    velocity
+        Whether to convert velocities, too (default: False).
 
-    What it does not name is neutral, or as in `base`, and at rest. `System.q` takes messages, too.
-    Errors: `UnknownNameError`; `InputError` for followers that do not fit, with the numbers.
+    Returns
+    -------
+    Array or tuple
+        Configuration (nq,), with `velocity` a pair of configuration and velocity (nv,), which is 0
+        where the message names nothing.
+
+    Raises
+    ------
+    UnknownNameError
+        If a name of the message is no coordinate.
+    InputError
+        If followers do not fit; the message has the numbers.
+
+    See Also
+    --------
+    System.q : takes messages, too.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> from types import SimpleNamespace
+    >>> message = SimpleNamespace(name=["q2"], position=[0.2], velocity=[])
+    >>> kempe.convert.from_joint_state(kempe.load("two_link"), message)
+    array([0. , 0.2])
     """
-    q = make_q(system, message, base)
+    given: Any = message
+    q = make_q(system, given, base)
     if not velocity:
         return q
     names = [str(n) for n in message.name]
