@@ -729,7 +729,7 @@ def to_pinocchio(
     q
         Configurations (..., nq) in radians and metres, or values by coordinate name.
     model
-        Model of Pinocchio (`pinocchio.Model`). Joints are paired by name.
+        Model of Pinocchio (pinocchio.Model). Joints are paired by name.
     v
         Velocities (..., nv), which are converted, too (default: none).
     base
@@ -790,7 +790,7 @@ def from_pinocchio(
     q
         Configurations of the model.
     model
-        Model of Pinocchio (`pinocchio.Model`). Joints are paired by name.
+        Model of Pinocchio (pinocchio.Model). Joints are paired by name.
     v
         Velocities of the model, which are converted, too (default: none).
     base
@@ -834,7 +834,7 @@ def to_mujoco(
     q
         Configurations (..., nq) in radians and metres, or values by coordinate name.
     model
-        Model of MuJoCo (`mujoco.MjModel`). Joints are paired by name.
+        Model of MuJoCo (mujoco.MjModel). Joints are paired by name.
     v
         Velocities (..., nv), which are converted, too (default: none).
     base
@@ -881,7 +881,7 @@ def from_mujoco(
     q
         `qpos` of the model.
     model
-        Model of MuJoCo (`mujoco.MjModel`). Joints are paired by name.
+        Model of MuJoCo (mujoco.MjModel). Joints are paired by name.
     v
         `qvel` of the model, which are converted, too (default: none).
     base
