@@ -177,9 +177,9 @@ class Answer(Result, Tabular):
             return ""
         false = int((claimed & ~np.asarray(self.judged.holds)).sum())
         if self._batch_shape:
-            return f"{false} are contradicted by poses multiplied out in numpy" if false else ""
+            return f"{false} are contradicted by an independent check" if false else ""
         said = self.judged.of(claimed)
-        return f"success is contradicted, {said}" if false else str(said)
+        return f"success is contradicted; {said}" if false else str(said)
 
     # ---- as a picture, as a table, as text, as data
 

@@ -540,16 +540,13 @@ class Judgement(InWords):
                 f", ... ({n} in all)" if n > SHOWN else ""
             )
             most = "{:.1g} m and {:.1g} rad".format(*each.max(axis=(0, 1), initial=0.0))
-            return (
-                f"judged by poses multiplied out in numpy: {names} {'holds' if n == 1 else 'hold'} "
-                f"to {most}"
-            )
+            return f"independent check: {names} {'holds' if n == 1 else 'hold'} to {most}"
         share = (each / self.allowed.reshape(n, -1, 2)).max(axis=-1)
         k, row = np.unravel_index(
             int(np.argmax(np.where(np.isnan(share), np.inf, share))), share.shape
         )
         far = "{:.3g} m and {:.3g} rad".format(*each[k, row])
-        return f"judged by poses multiplied out in numpy: {self.names[k]!r} is missed by {far}"
+        return f"independent check: {self.names[k]!r} is missed by {far}"
 
     def data(self) -> dict[str, Any]:
         """Return the largest error by name [m, rad], whether all constraints hold, and a sentence."""
