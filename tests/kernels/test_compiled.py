@@ -601,3 +601,23 @@ def test_guards_end_a_process_whose_scratch_is_too_small(size, less):
         run(TOO_SMALL.format(size=size, less=less), KEMPE_GUARD="after").returncode
         == -signal.SIGSEGV
     )
+
+
+GUARDED_CURVES = """
+import kempe
+m = kempe.Mechanism("RUSR")
+crank, rod, rocker = map(m.body, ("crank", "rod", "rocker"))
+m.revolute("A", m.ground, crank)
+m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
+m.universal("B", crank, rod, at=(0.5, 0, 0))
+m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
+print(kempe.load("four_bar").trace("A").closed, m.build().trace("D", {"A": 0.3}).closed)
+"""
+
+
+@pytest.mark.slow
+@native
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
+@pytest.mark.parametrize("guard", ["after", "before"])
+def test_steps_of_curves_stay_in_their_memory(guard):
+    assert printed(GUARDED_CURVES, KEMPE_GUARD=guard) == "True True"

@@ -8,16 +8,28 @@ Turns are in radians, slides and positions divided by the characteristic length 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from kempe.equations import closure_rows
+from kempe.kernels.compiled import curve_steps
 from kempe.model.characteristic_length import choose_origin
 from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import TimeLimit
-from kempe.numerics.curves import BLUNT, CLOSED, Curve
-from kempe.numerics.newton import run_gauss_newton
+from kempe.numerics.curves import (
+    ACROSS,
+    BEND,
+    BLUNT,
+    CLOSED,
+    IDEAL_BEND,
+    NONE,
+    TRIES,
+    Curve,
+    Node,
+)
+from kempe.numerics.newton import LAST, NOTHING, run_gauss_newton
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -26,6 +38,8 @@ if TYPE_CHECKING:
 LEAST = 0.1
 """What the largest singular value counts as at least: equations are scaled, and where all vanish it
 is rounding."""
+MOST_UNKNOWNS = 100
+"""Unknowns up to which regular steps along a curve are taken by a kernel."""
 ANGLES = ("rx", "ry", "rz", "x.y")
 """Names of equations that are angles."""
 
@@ -194,6 +208,60 @@ class Closure(Curve):
             more.write_equations(self, x, F, J, at, with_matrix)
             at += more.count
 
+    @property
+    def follows_by_kernel(self) -> bool:
+        """Whether the kernel of regular steps has all equations, and is worth while."""
+        return not self.more and 0 < len(self.weight) and self.n <= MOST_UNKNOWNS and self.plain
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether a point is a configuration, and no equation a Python function."""
+        return not closure_rows.pack_full_loops(self.tree, False).functions
+
+    def follow_regular_curve(
+        self, x: Array, t: Array, h: float, longest: float, count: int
+    ) -> tuple[Array, Array, Array]:
+        """Take up to `count` steps along the curve from the point x with the tangent t (n,).
+
+        They are those of `find_next_node` and `choose_step_length`, without a look at singular
+        points. Returned are points (k, nq), tangents (k, n), and after each the length (k,) of the
+        next step. A step of length 0 leads x to the curve, in the plane across t.
+        """
+        loops = closure_rows.pack_full_loops(self.tree, False)
+        points = np.empty((count, self.system.nq))
+        tangents = np.empty((count, self.n))
+        lengths = np.empty(count)
+        held = np.zeros(self.n)
+        held[self._held] = 1.0
+        k = curve_steps.follow_curve(
+            loops.ints,
+            loops.floats,
+            loops.plan,
+            loops.weights,
+            self.weight,
+            self.unit,
+            held,
+            x,
+            np.where(held > 0.0, 0.0, t),
+            h,
+            longest,
+            TRIES,
+            np.array([self.closed, self.rounding, LAST, NOTHING, ACROSS, BEND, IDEAL_BEND]),
+            points,
+            tangents,
+            lengths,
+        )
+        return points[:k], tangents[:k], lengths[:k]
+
+    def find_regular_node(self, x: Array, across: Array) -> Node | None:
+        """Find the node in the plane through `x` normal to `across` (n,), without its matrices."""
+        if not self.follows_by_kernel:
+            return None
+        points, tangents, _ = self.follow_regular_curve(x, across, 0.0, 0.0, 1)
+        if not len(points):
+            return None
+        return Node(points[0], tangents[0], np.nan, 1, NONE, NONE)
+
     def compute_tolerance(self, x: Array) -> float:
         """Compute the largest residual of a closed configuration `x`.
 
@@ -232,6 +300,11 @@ class DrivenClosure(Closure):
         self.direction = direction
         self.n = closure.n + 1
         self.rows = max(self.real + len(self.inputs), self.n)
+
+    @cached_property
+    def plain(self) -> bool:
+        """False: a point is more than a configuration."""
+        return False
 
     def compute_input_values(self, length: float) -> Array:
         """Compute the values of the inputs, in radians and metres, at a length along their line."""

@@ -74,6 +74,7 @@ from kempe.numerics.curves import (
     BEND,
     LEAST_STEP,
     Node,
+    are_sides_same,
     choose_step_length,
     compute_bend_angle,
     correct_point,
@@ -386,8 +387,6 @@ MOST_SKIPPED = 16
 """Samples that are left to single steps at most before many are tried again."""
 PART = 0.5
 """Share of the longest step that steps aim at."""
-SAME_RANGE = 0.2
-"""Least determinant between the ranges of the Jacobians at both ends of a step."""
 CONSISTENT = 1e-8
 """How far the velocities of the inputs may miss the equations."""
 
@@ -529,9 +528,8 @@ class RegularSteps:
         A = np.ascontiguousarray(columns[..., self.free])
         B = np.ascontiguousarray(columns[..., self.context.index])
         At = np.swapaxes(A, -1, -2)
-        gram = At @ A
         try:
-            inverse = np.linalg.inv(gram) @ At
+            inverse = np.linalg.inv(At @ A) @ At
         except np.linalg.LinAlgError:
             return None
         gain = -(inverse @ B)
@@ -544,7 +542,7 @@ class RegularSteps:
             _bound_square_norm(inverse) + 2.0 * _bound_square_norm(gain) + inputs + 2
         )
         large = np.sqrt(_bound_square_norm(A) + _bound_square_norm(B) + inputs + 1)
-        return _Rates(A, gain, gram, closed, small / large)
+        return _Rates(A, gain, closed, small / large)
 
     def _verify_steps(
         self, q: Array, length: Array, rates: _Rates, before: Array, after: Array
@@ -566,9 +564,7 @@ class RegularSteps:
         good &= np.maximum(here, there) * STEEP < 1.0
         good &= miss <= ACROSS * size
         good &= chord <= 2.0 * math.sin(0.5 * BEND)
-        sign, across = np.linalg.slogdet(np.swapaxes(rates.matrix[:-1], -1, -2) @ rates.matrix[1:])
-        own = np.linalg.slogdet(rates.gram)[1]
-        good &= (sign > 0.0) & (across > 0.5 * (own[:-1] + own[1:]) + math.log(SAME_RANGE))
+        good &= are_sides_same(rates.matrix)
         if self.bounds:
             place, of, side, limit = self._bound_arrays
             over = side * (q[:, place] - limit)
@@ -582,15 +578,13 @@ class RegularSteps:
 class _Rates(NamedTuple):
     """Velocities that follow from those of the inputs, at n configurations.
 
-    `matrix` (n, m, free) is the Jacobian of the loops by the free velocities and `gram` its product
-    with itself, `gain` (n, free, inputs) the free velocities for each input, `closed` (n,) whether
-    the equations hold and are consistent, `sigma` (n,) a lower bound of the relative singular value
-    that a `Node` has.
+    `matrix` (n, m, free) is the Jacobian of the loops by the free velocities, `gain` (n, free,
+    inputs) the free velocities for each input, `closed` (n,) whether the equations hold and are
+    consistent, `sigma` (n,) a lower bound of the relative singular value that a `Node` has.
     """
 
     matrix: Array
     gain: Array
-    gram: Array
     closed: np.ndarray
     sigma: Array
 

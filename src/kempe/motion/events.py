@@ -27,10 +27,12 @@ from kempe.numerics.curves import (
     compute_bend_angle,
     find_next_node,
     find_node_between,
+    guess_point_between,
     is_determinant_flipped,
     make_node,
 )
 from kempe.numerics.newton import LARGE
+from kempe.numerics.rank import Level, Spectrum
 from kempe.numerics.roots import find_sign_change
 from kempe.spatial import Array
 from kempe.words import InWords
@@ -54,6 +56,12 @@ SAME_NODE = 1e-9
 which it leaves."""
 RECENT = 100
 """Points of a walk that are kept, to tell on which half-branch it came to a singular point."""
+STEPS = 32
+"""Steps that are taken at once."""
+MOST_SKIPPED = 16
+"""Single steps at most before many are tried again."""
+STRAIGHT = 1e-9
+"""Rates of the equations along a tangent below which they are rounding."""
 HOME = 1e-7
 """Distance from the start at which a curve has returned to it, if it also arrives in the same
 direction."""
@@ -92,6 +100,7 @@ def walk_curve(
         return accept_step(equations, a, b)
 
     h = 0.25 * longest
+    regular = RegularWalk(equations, longest)
     known = [a.germ] if isinstance(a, SingularNode) else []
     while True:
         if isinstance(a, SingularNode):
@@ -104,7 +113,7 @@ def walk_curve(
         last = deque([a.x], maxlen=RECENT)
         singular = None
         sigma = a.sigma
-        for b in curves.walk_curve(a, take_step, longest, h):
+        for b in curves.walk_curve(a, take_step, longest, h, many=regular.take_steps):
             before = last[-1]
             last.append(b.x)
             # nearer to a point where rounding hides the curve
@@ -128,6 +137,62 @@ def walk_curve(
         yield from singular.list_arrival_nodes()
         yield singular
         a = singular
+
+
+# Away from singular points a kernel takes the steps, one after the other as `find_next_node` does.
+# What `accept_step` asks of both ends of a step is then verified for all of them at once; the first
+# that fails is left to single steps.
+
+
+class RegularWalk:
+    """Steps of a walk away from singular points, many at a time."""
+
+    def __init__(self, equations: Closure, longest: float):
+        self.equations = equations
+        self.longest = longest
+        self.waiting = 0
+        self.skipped = 0
+
+    def take_steps(self, a: Node, h: float) -> tuple[list[Node], float]:
+        """Take steps from a node, the first of length `h`.
+
+        Returned are the nodes, none where the next step is left to single steps, and the length of
+        the next step. Only the last node has its matrices.
+        """
+        regular = self.equations.follows_by_kernel and a.nullity == 1 and a.lines is None
+        if not regular or self.waiting:
+            self.waiting = max(self.waiting - 1, 0)
+            return [], h
+        points, tangents, lengths = self.equations.follow_regular_curve(
+            a.x, a.t, h, self.longest, STEPS
+        )
+        x = np.concatenate([a.x[None], points])
+        t = np.concatenate([a.t[None], tangents])
+        nodes = self._verify_steps(x, t) if len(points) else []
+        self.skipped = 0 if nodes else min(2 * self.skipped + 1, MOST_SKIPPED)
+        self.waiting = self.skipped
+        return nodes, float(lengths[len(nodes) - 1]) if nodes else h
+
+    def _verify_steps(self, x: Array, t: Array) -> list[Node]:
+        """Return the nodes of the first steps between points (k, nq) that are regular.
+
+        `t` (k, n) are the tangents.
+        """
+        equations = self.equations
+        J = equations.evaluate_many_points(x)[1]
+        s = Spectrum(J, equations.least)
+        sigma = s.values[:, equations.n - 2] / s.largest if equations.n > 1 else np.ones(len(x))
+        good = (s.compute_ranks(Level.CLOSED) == equations.n - 1) & (sigma > NEARLY)
+        good &= np.abs(J @ t[..., None]).max(axis=(1, 2)) < STRAIGHT
+        same = curves.are_sides_same(np.concatenate([J, t[:, None]], axis=1))
+        taken = int(np.argmin(np.append(good[:-1] & good[1:] & same, False)))
+        nodes = [
+            Node(x[i], t[i], float(sigma[i]), 1, curves.NONE, curves.NONE)
+            for i in range(1, taken + 1)
+        ]
+        if nodes:
+            nodes[-1] = make_node(equations, x[taken], t[taken], J[taken])
+        return nodes
 
 
 def accept_step(equations: Closure, a: Node, b: Node | None) -> list[Node] | None:
@@ -198,10 +263,19 @@ def find_root(
     end = float(a.t @ equations.compute_difference(a.x, b.x)) if high is None else high
     found: dict[float, Node] = {}
     large = equations.rows > LARGE
+    regular = min(a.sigma, b.sigma) > NEARLY
+
+    def find_between(distance: float) -> Node | None:
+        """Find the node at a distance from `a`, by the kernel where the curve is regular."""
+        here = None
+        if regular:
+            guess = guess_point_between(equations, a, b, distance)
+            here = equations.find_regular_node(guess, a.t)
+        return here or find_node_between(equations, a, b, distance, False)
 
     def evaluate_distance(distance: float) -> float:
         """Evaluate the function at a distance from `a`."""
-        here = find_node_between(equations, a, b, distance, False)
+        here = find_between(distance)
         if here is None:
             return 0.0  # rounding only: a point between two neighbours always exists
         found[distance] = here
@@ -223,9 +297,12 @@ def find_return(equations: Closure, a: Node, b: Node, start: Node, periods: Arra
 
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
-    shift = periods * np.round(
-        _divide_by_periods(equations.compute_difference(b.x, start.x) * equations.unit, periods)
-    )
+    away = equations.compute_difference(b.x, start.x)
+    shift = periods * np.round(_divide_by_periods(away * equations.unit, periods))
+    chord = equations.compute_difference(a.x, b.x)
+    # it is not beside the step: the common case, told without the rest
+    if np.linalg.norm(away - shift / equations.unit) > HOME_CROSSING + 3.0 * np.linalg.norm(chord):
+        return None
     there = equations.system.structure.layout.integrate_velocity(start.x, -shift)
     if isinstance(start, SingularNode):
         moved = [equations.system.structure.layout.integrate_velocity(n.x, shift) for n in (a, b)]
@@ -236,7 +313,6 @@ def find_return(equations: Closure, a: Node, b: Node, start: Node, periods: Arra
     ):
         return replace(start, x=there) if start.t @ b.t > ARRIVED else None
     z = equations.compute_difference(a.x, there)
-    chord = equations.compute_difference(a.x, b.x)
     along = float(a.t @ z)
     if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(z) > 2.0 * np.linalg.norm(chord):
         return None

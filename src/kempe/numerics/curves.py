@@ -32,6 +32,8 @@ LEAST_STEP = 1e-6
 """Steps below this are given up: the curve has a cusp or an end there."""
 BLUNT = 1e-7
 """Relative singular values below which a correction is only rounding noise, blown up."""
+SAME_RANGE = 0.2
+"""Least determinant between the ranges of the equations at two nodes that are compared."""
 TRIES = 12
 """Steps of a correction at most."""
 NONE = np.zeros((0, 0))
@@ -179,15 +181,21 @@ def walk_curve(
     *,
     least: float = LEAST_STEP,
     ideal: float = IDEAL_BEND,
+    many: Callable[[Node, float], tuple[list[Node], float]] | None = None,
 ) -> Iterator[Node]:
     """Yield nodes of a curve after `a`, until steps would be shorter than `least`.
 
     The first step has the length `h`.
 
     `taken` gives the nodes that a step of some length from a node leads to, None where that is too
-    long. `ideal` is the angle between tangents that the length aims at.
+    long. `ideal` is the angle between tangents that the length aims at. `many` gives the nodes of
+    many steps, perhaps none, and the length of the next step; it is called before each single one.
     """
     while True:
+        if many is not None:
+            found, h = many(a, h)
+            yield from found
+            a = found[-1] if found else a
         found = taken(a, h)
         if found is None:
             h *= 0.5
@@ -215,11 +223,31 @@ def is_determinant_flipped(a: Node, b: Node) -> bool | None:
     if a.nullity > 1 or b.nullity > 1:
         return False
     size = np.linalg.slogdet(a.image.T @ b.image)[1]
-    if size < np.log(0.2):
+    if size < math.log(SAME_RANGE):
         return None
     sign = np.linalg.slogdet(np.vstack([a.image.T @ b.matrix, b.t]))[0]
     own = np.linalg.slogdet(np.vstack([a.image.T @ a.matrix, a.t]))[0]
     return bool(sign * own < 0.0)
+
+
+def are_sides_same(M: Array) -> np.ndarray:
+    """Tell for neighbouring nodes whether the determinants of equations and tangent agree in sign.
+
+    `M` (k, rows, n) are their Jacobians and tangents, of full rank. It is False, too, where the
+    nodes are too different to tell. With M = Q R the determinant of Q_a^T Q_b decides, in the
+    notation of `is_determinant_flipped`: it is that of M_a^T M_b over the volumes of both.
+    """
+    volume = 0.5 * np.linalg.slogdet(np.swapaxes(M, -1, -2) @ M)[1]
+    sign, size = np.linalg.slogdet(np.swapaxes(M[:-1], -1, -2) @ M[1:])
+    return (sign > 0.0) & (size > volume[:-1] + volume[1:] + math.log(SAME_RANGE))
+
+
+def guess_point_between(equations: Curve, a: Node, b: Node, distance: float) -> Array:
+    """Guess the point of the curve between two neighbours at `distance` along the first tangent."""
+    y = equations.compute_difference(a.x, b.x)
+    h = float(a.t @ y)
+    f = distance / h
+    return equations.move_point(a.x, distance * a.t + f * f * (y - h * a.t))
 
 
 def find_node_between(
@@ -229,13 +257,11 @@ def find_node_between(
 
     One that is not `whole` may lack singular values and matrices, where these cost much.
     """
-    y = equations.compute_difference(a.x, b.x)
-    h = float(a.t @ y)
-    f = distance / h
-    guess = equations.move_point(a.x, distance * a.t + f * f * (y - h * a.t))
+    guess = guess_point_between(equations, a, b, distance)
     there = correct_point(equations, guess, a.t)
     if there is None:
         return None
+    f = distance / float(a.t @ equations.compute_difference(a.x, b.x))
     along = (1.0 - f) * a.t + f * b.t
     if whole or len(there.r) <= LARGE:
         return make_node(equations, there.x, along, there.J)
