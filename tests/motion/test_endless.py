@@ -180,7 +180,7 @@ def test_many_turns_close():
 # ---- the time is up
 
 
-@pytest.mark.parametrize("look", [0, 1, 60, 300, 420])
+@pytest.mark.parametrize("look", [0, 1, 10, 22, 37])
 def test_a_path_keeps_what_was_done(looks, look):
     s = kempe.load("four_bar")
     whole = s.trace(ways="forward")
@@ -211,7 +211,7 @@ def test_other_branches_that_were_not_followed_are_reported(looks):
     s = kempe.load("parallelogram")
     whole = s.trace(ways="branches")
     assert whole.others and whole
-    looks(600)
+    looks(120)
     path = s.trace(ways="branches", budget=kempe.Budget(time_limit=5.0))
     assert path.late and not path and len(path.others) <= len(whole.others)
 
@@ -220,7 +220,7 @@ def test_samples_points_and_self_motions_keep_what_was_done(looks):
     s = kempe.load("four_bar")
     panda = kempe.load("panda")
     path = s.trace()
-    looks(1500)
+    looks(390)
     motion = s.drive({"A": np.linspace(0.0, 6.0, 300)}, budget=kempe.Budget(time_limit=5.0))
     assert (
         motion.late and not motion and 0 < len(motion) < 300 and len(motion.times) == len(motion.q)
@@ -251,7 +251,7 @@ def test_modes_and_paths_of_targets_keep_what_was_done(looks):
         and "time limit" in modes.status
     )
     q = panda.q("ready") + 0.3 * np.linspace(0.0, 1.0, 50)[:, None]
-    looks(9)
+    looks(3)
     path = panda.ik_path(
         panda.fk(q, "panda_hand_tcp"), "panda_hand_tcp", q[0], budget=kempe.Budget(time_limit=5.0)
     )
