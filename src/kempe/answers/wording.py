@@ -189,7 +189,7 @@ def _explain_lengths(
     With `slides`, by the limits of these coordinates, too, without which lengths say nothing.
     """
     who = f"{task!r} is " if task else ""
-    units = "; lengths are metres: are these millimetres?" if times > MILLIMETRES else ""
+    units = "; lengths are metres, and these look like millimetres" if times > MILLIMETRES else ""
     if plane > 0.0:
         angle = (
             "; three numbers are x, y, z here, and x, y, angle with task='pose'" if point else ""
