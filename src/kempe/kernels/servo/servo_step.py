@@ -478,7 +478,8 @@ def minimize_damped_residual(servo, x, low, high, out):
             for k in range(ROWS):
                 total += servo.rows[k * n + i] * servo.rows[k * n + j]
             for k in range(min(ROWS, n)):
-                total += hard[k] * hard[k] * v[k * n + i] * v[k * n + j]
+                if hard[k] > 0.0:  # else V^T may be unset, and zero times what is there not zero
+                    total += hard[k] * hard[k] * v[k * n + i] * v[k * n + j]
             h[i * n + j] = total
             h[j * n + i] = total
     multiply_rows(h, x, n, n, push)
