@@ -258,7 +258,7 @@ def test_a_path_that_stops():
 def test_an_interrupted_path():
     panda = kempe.load("panda")
     done = []
-    targets = np.column_stack([np.full(9, 0.4), np.linspace(0.0, 0.2, 9), np.full(9, 0.5)])
+    targets = np.column_stack([np.full(900, 0.4), np.linspace(0.0, 0.2, 900), np.full(900, 0.5)])
 
     def progress(count: int) -> None:
         done.append(count)
@@ -268,4 +268,6 @@ def test_an_interrupted_path():
     budget = kempe.Budget(progress=progress)
     path = call_until_interrupt(panda.ik_path, targets, HAND, budget=budget)
     assert done == [2, 3, 4, 5] and path.interrupted and "interrupted" in path.status
-    assert list(path.success) == [True] * 5 + [False] * 4 and np.isnan(path.q[5:]).all()
+    followed = int(path.success.sum())
+    assert 5 <= followed < 900 and path.success[:followed].all()
+    assert np.isfinite(path.q[:followed]).all() and np.isnan(path.q[followed:]).all()

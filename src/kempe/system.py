@@ -1037,8 +1037,9 @@ class System(Model, Pictured):
             frame.__class__ is str and start is task is tolerance is budget is None and not limits
         )
         if plain and target.__class__ is ARRAY and target.shape == (4, 4):  # type: ignore[union-attr]
-            key = frame if fixed is None else (frame, *fixed) if fixed.__class__ is dict else None
-            bound = self._kept["ik_all"].get(key)
+            bound = self._kept["ik_all"].get(
+                frame if fixed is None else (frame, *fixed) if fixed.__class__ is dict else None
+            )
             if bound is not None and (answer := bound(target, fixed)) is not None:
                 return answer
         from kempe.inverse.ik_all import ik_all
