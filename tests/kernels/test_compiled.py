@@ -621,3 +621,41 @@ print(kempe.load("four_bar").trace("A").closed, m.build().trace("D", {"A": 0.3})
 @pytest.mark.parametrize("guard", ["after", "before"])
 def test_steps_of_curves_stay_in_their_memory(guard):
     assert printed(GUARDED_CURVES, KEMPE_GUARD=guard) == "True True"
+
+
+UNSET = """
+import hashlib
+import kempe
+import numpy as np
+rng = np.random.default_rng(0)
+m = kempe.Mechanism("six joints")
+last = m.ground
+for k in range(6):
+    body = m.body(f"b{k}")
+    m.revolute(f"j{k}", last, body, axis=rng.normal(size=3), at=rng.uniform(-0.5, 0.5, 3), limits=(-2, 2))
+    last = body
+m.frame("tip", last, at=(0.1, 0.2, 0.3))
+s = m.build()
+found = hashlib.sha256()
+for q in s.random(rng, 60):
+    q = np.where(rng.random(6) < 0.3, 2.0, q)
+    for kept in (False, True):
+        for speed in (None, 0.1):
+            for wanted in (rng.normal(size=6), s.fk(s.random(rng), "tip")):
+                found.update(s.ik_step(q, wanted, "tip", 0.01, velocity_limits=speed, keep_direction=kept).velocity)
+targets = s.fk(np.linspace(0.1, 0.7, 90)[:, None] * np.ones(6), "tip")
+found.update(s.ik_path(targets, "tip", 0.1 * np.ones(6)).q)
+loop = kempe.load("four_bar")
+found.update(loop.trace("A").q)
+found.update(loop.drive({"A": np.linspace(0.0, 1.0, 90)}).q)
+print(found.hexdigest())
+"""
+
+
+@native
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
+def test_no_answer_depends_on_what_scratch_held_before():
+    """In guarded memory scratch begins as no numbers."""
+    plain = printed(UNSET)
+    assert len(plain) == 64
+    assert printed(UNSET, KEMPE_GUARD="after") == printed(UNSET, KEMPE_GUARD="before") == plain
