@@ -240,9 +240,9 @@ def is_side_changed(equations: Closure, a: Node, b: Node) -> bool | None:
     Derivatives at both nodes are of the same equations.
 
     What holds the rank changes its bases on the way, and equations in other bases have determinants
-    of other signs.
+    of other signs. The first node may lack its matrices.
     """
-    if is_rank_held(equations) and a.nullity == 1:
+    if a.nullity == 1 and (is_rank_held(equations) or not a.matrix.size):
         here = make_node(equations, a.x, a.t)
         a = replace(a, matrix=here.matrix, image=here.image)
     return is_determinant_flipped(a, b)
