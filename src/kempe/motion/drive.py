@@ -52,6 +52,7 @@ from kempe.motion.events import (
     TOUCH,
     CoordinateBound,
     OneSidedEnds,
+    Patience,
     accept_step,
     find_root,
 )
@@ -383,8 +384,6 @@ MOST_ENTRIES = 500_000
 """Entries of their Jacobians."""
 FIRST_SAMPLES = 32
 """Samples that are tried at once at first; after a success twice as many."""
-MOST_SKIPPED = 16
-"""Samples that are left to single steps at most before many are tried again."""
 PART = 0.5
 """Share of the longest step that steps aim at."""
 CONSISTENT = 1e-8
@@ -415,8 +414,7 @@ class RegularSteps:
         )
         self.places = closure.place[context.index]
         self.count = FIRST_SAMPLES
-        self.skipped = 0
-        self.waiting = 0
+        self.patience = Patience()
 
     @cached_property
     def _assembler(self) -> Assembler:
@@ -435,8 +433,7 @@ class RegularSteps:
 
     def choose_sample_count(self) -> int:
         """Choose how many samples are tried at once; 0 where the next one is left to single steps."""
-        if not self.possible or self.closure.more or self.waiting:
-            self.waiting = max(self.waiting - 1, 0)
+        if not self.patience.count_step() or not self.possible or self.closure.more:
             return 0
         size = self.equations * self.closure.n
         return max(1, min(self.count, MOST_STEPS, MOST_ENTRIES // size))
@@ -451,12 +448,10 @@ class RegularSteps:
         length = np.linalg.norm(change, axis=1)
         moving = int(np.argmin(np.append(length >= NO_CHANGE, False)))
         found = self._take_steps(state, points[: moving + 1], length[:moving]) if moving else None
+        self.patience.record_trial(found is not None)
         if found is None:
             self.count = FIRST_SAMPLES
-            self.skipped = min(2 * self.skipped + 1, MOST_SKIPPED)
-            self.waiting = self.skipped
             return state, np.empty((0, self.closure.system.nq))
-        self.skipped = 0
         self.count = 2 * len(found[1])
         return found
 

@@ -144,14 +144,35 @@ def walk_curve(
 # that fails is left to single steps.
 
 
+class Patience:
+    """Single steps that come before many at once are tried again.
+
+    After each failure in a row there are twice as many and one more, `MOST_SKIPPED` at most.
+    """
+
+    def __init__(self):
+        self.waiting = 0
+        self.skipped = 0
+
+    def count_step(self) -> bool:
+        """Count a step; return whether it may be one of many."""
+        is_over = not self.waiting
+        self.waiting = max(self.waiting - 1, 0)
+        return is_over
+
+    def record_trial(self, success: bool) -> None:
+        """Record whether many steps were taken."""
+        self.skipped = 0 if success else min(2 * self.skipped + 1, MOST_SKIPPED)
+        self.waiting = self.skipped
+
+
 class RegularWalk:
     """Steps of a walk away from singular points, many at a time."""
 
     def __init__(self, equations: Closure, longest: float):
         self.equations = equations
         self.longest = longest
-        self.waiting = 0
-        self.skipped = 0
+        self.patience = Patience()
 
     def take_steps(self, a: Node, h: float) -> tuple[list[Node], float]:
         """Take steps from a node, the first of length `h`.
@@ -160,8 +181,7 @@ class RegularWalk:
         the next step. Only the last node has its matrices.
         """
         regular = self.equations.follows_by_kernel and a.nullity == 1 and a.lines is None
-        if not regular or self.waiting:
-            self.waiting = max(self.waiting - 1, 0)
+        if not self.patience.count_step() or not regular:
             return [], h
         points, tangents, lengths = self.equations.follow_regular_curve(
             a.x, a.t, h, self.longest, STEPS
@@ -169,8 +189,7 @@ class RegularWalk:
         x = np.concatenate([a.x[None], points])
         t = np.concatenate([a.t[None], tangents])
         nodes = self._verify_steps(x, t) if len(points) else []
-        self.skipped = 0 if nodes else min(2 * self.skipped + 1, MOST_SKIPPED)
-        self.waiting = self.skipped
+        self.patience.record_trial(bool(nodes))
         return nodes, float(lengths[len(nodes) - 1]) if nodes else h
 
     def _verify_steps(self, x: Array, t: Array) -> list[Node]:
