@@ -504,9 +504,9 @@ def _read_wanted_motion(
         pose, J = pose_of.pose_and_jacobian(x)
         if goal.ndim == 1:
             return [closed.make_twist_stage(J, np.broadcast_to(goal, (*x.shape[:-1], 6)), weights)]
-        missing = np.array([compute_pose_error(goal, X) for X in pose.reshape(-1, 4, 4)]).reshape(
-            *x.shape[:-1], 6
-        )
+        place = goal[:3, 3] - pose[..., :3, 3]
+        turn = log_so3(goal[:3, :3] @ np.swapaxes(pose[..., :3, :3], -1, -2))
+        missing = np.concatenate([place, turn], axis=-1)
         return [closed.make_twist_stage(J, missing / dt, weights)]
 
     return make_stages, pose_of.jacobian(q), (frame, goal.tobytes())
@@ -540,27 +540,6 @@ def _compute_fraction(had: Array, requested: Array) -> float:
     """Compute which fraction of the requested motion is achieved."""
     square = float(requested @ requested)
     return float(requested @ had) / square if square else 1.0
-
-
-def compute_pose_error(goal: Array, pose: Array) -> Array:
-    """Compute the error (6,) of a pose: [position; rotation vector] in ground axes."""
-    out = np.empty(6)
-    out[:3] = goal[:3, 3] - pose[:3, 3]
-    R = goal[:3, :3] @ pose[:3, :3].T
-    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
-    x = 0.5 * (h - f)
-    y = 0.5 * (c - g)
-    z = 0.5 * (d - b)
-    cosine = 0.5 * (a + e + i - 1.0)
-    if not cosine > -0.9:  # the antisymmetric part fades
-        out[3:] = log_so3(R)
-        return out
-    sine = math.sqrt(x * x + y * y + z * z)
-    factor = math.atan2(sine, cosine) / sine if sine > 1e-8 else 1.0
-    out[3] = factor * x
-    out[4] = factor * y
-    out[5] = factor * z
-    return out
 
 
 def _parse_motion(wanted: Any) -> Array:
