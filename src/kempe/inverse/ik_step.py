@@ -260,7 +260,9 @@ class BoundStep:
         if wanted.__class__ is not np.ndarray:
             if wanted.__class__ is not list or len(wanted) != 6:
                 return None
-            wanted = np.array(wanted, dtype=np.float64)
+            wanted = np.array(wanted)
+            if wanted.dtype != np.float64 or wanted.shape != (6,):  # text, truth values, masks
+                return None
         elif wanted.shape == (4, 4):
             wanted = wanted.reshape(16)
         elif wanted.shape != (6,):

@@ -693,8 +693,17 @@ def keep_direction(servo, q, low, high, out):
         if fall < -WALL * s[i]:
             slower = min(slower, WALL * s[i] / -fall)
     had = 0.0
-    for a in range(ROWS):
-        had += b[a] * compute_dot(advance_pointer(servo.rows, a * n), x, n)
+    for half in range(0, ROWS, 3):
+        first = 0.0
+        second = 0.0
+        for a in range(half, half + 3):
+            first += b[a] * compute_dot(advance_pointer(servo.rows, a * n), x, n)
+            if bent:
+                bend = advance_pointer(locate_difference(servo), a * n)
+                second += b[a] * compute_dot(bend, x, n)
+        had += first
+        if first > 0.0 and -servo.dt * second > first:  # else the step would lead back
+            slower = min(slower, first / (-servo.dt * second))
     if slower * had > NO_PART * square:
         for j in range(n):
             out[j] = slower * x[j]
