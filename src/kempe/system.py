@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,6 +23,7 @@ from kempe.spatial import Array
 from kempe.views.plot_options import PlotOptions
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path as FilePath
 
     from distributed import Client
@@ -1065,7 +1066,9 @@ class System(Model, Pictured):
         *,
         max_step: float = 0.5,
         restart: bool = False,
-        branches: bool = False,
+        branches: bool | Literal["best"] = False,
+        cost: Literal["motion", "limits", "singularities"] | Callable[[Any], float] = "motion",
+        closed: bool = False,
         tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
     ) -> IkPath:
@@ -1087,8 +1090,18 @@ class System(Model, Pictured):
             Where the path ends, go on from the nearest configuration at the next target that can be
             reached. The path then has a jump.
         branches
-            Try paths from several start configurations, those of `ik_all` among them. The answer is
-            the path that gets farthest, then the one with the fewest jumps, then the shortest.
+            With "best" (or True) paths from several start configurations are tried, those of
+            `ik_all` among them, with every number of whole turns that the limits allow. The answer
+            is the path that gets farthest, then the one with the fewest jumps, then the cheapest.
+        cost
+            What makes a path of `branches` cheap: "motion", its length; "limits", how near it comes
+            to a limit, as a part of the way from the middle; "singularities", the largest ratio of
+            two singular values on it; or a function of the configurations (n, nq) that returns a
+            number.
+        closed
+            The path ends in its first configuration; the last target must be the first one again.
+            Joints that the targets leave free are moved back on the way. A path that does not
+            return misses its last target, and says so.
         tolerance
             Largest error in metres and radians (default: 1e-10). A larger value is for rounded
             targets: the path may then leave out what a singularity prevents, within the tolerance.
@@ -1133,6 +1146,8 @@ class System(Model, Pictured):
             max_step=max_step,
             restart=restart,
             branches=branches,
+            cost=cost,
+            closed=closed,
             tolerance=tolerance,
             budget=budget,
         )

@@ -137,6 +137,13 @@ def run_path(
     branches: Annotated[
         bool, make_option("--branches", "Try several starts; the best path is the answer.")
     ] = False,
+    cost: Annotated[
+        str,
+        make_option("--cost", "What the best path has: motion, limits, singularities.", "WORD"),
+    ] = "motion",
+    closed: Annotated[
+        bool, make_option("--closed", "The path ends in its first configuration.")
+    ] = False,
     tolerance: options.Tolerance = None,
 ) -> None:
     """Follow a sequence of targets without a jump, or say where and why that cannot be.
@@ -159,6 +166,8 @@ def run_path(
         arguments.read_start(system, start, output.deg),
         restart=restart,
         branches=branches,
+        cost=cost,
+        closed=closed,
         tolerance=arguments.parse_single_or_several(tolerance, "tolerance"),
         budget=budget,
         count=count,

@@ -18,20 +18,24 @@ from kempe.answers.evidence import list_limit_violations
 from kempe.answers.problem import NOTHING, Problem, Solver, accept_all_problems, solve_problem
 from kempe.answers.targets import Z_AXIS, make_target_constraints, parse_targets
 from kempe.arguments import explain_errors, explain_method_errors, raise_interrupted
-from kempe.arrays import read_reals
 from kempe.assemble.assemble import assemble
+from kempe.assemble.bound import remove_limits
 from kempe.assemble.nearest_exact import find_nearest_exact_in_time
 from kempe.budget import Budget, Usual
 from kempe.constraints.base import Constraint
 from kempe.equations.packed_tasks import refuse_goal
 from kempe.equations.slip import Slip, compute_unit_rows, find_first_slip, has_velocity_constraints
 from kempe.equations.tasks import Goal
-from kempe.errors import InputError, UnsupportedError
-from kempe.inverse.chain.serial_chain import (
-    has_shared_coordinates,
-    is_moved_by_loop,
-    move_inside_limits,
+from kempe.errors import InputError
+from kempe.inverse.best_path import (
+    Home,
+    close_path,
+    count_followed_targets,
+    find_best_branch,
+    list_starts,
+    read_cost,
 )
+from kempe.inverse.chain.serial_chain import move_inside_limits
 from kempe.inverse.tasks.demands import STARTS, Demands, find_untouched_places
 from kempe.inverse.tasks.search import make_checked_answer, make_demands
 from kempe.kernels.base.search_layout import SOLVED
@@ -91,6 +95,8 @@ UNEVEN = 0.5
 """Part by which the ways to two targets may differ that count as equal steps of one motion."""
 STAYS = 1e-9
 """Length of a way below which a target stays where it was."""
+HOMEWARDS = 20
+"""Self-motions at most at one target that lead towards a configuration."""
 AVOID = 0.1
 """Self-motion at most at one target, in radians and characteristic lengths, that leads away from
 limits."""
@@ -139,7 +145,7 @@ class PathSteps:
         problem: Demands,
         max_step: float,
         budget: TimeLimit,
-        progress: Callable[[int], None] | None = None,
+        progress: Callable[..., object] | None = None,
     ):
         tasks = tuple(t.copy_without_tolerance() for t in problem.tasks)
         self.problem = replace(problem, tasks=tasks)
@@ -168,8 +174,7 @@ class PathSteps:
         layout = self.system.structure.layout
         counted = (packed.rows >= 0).astype(np.int64)
         plain = (
-            problem.limits
-            and self.given <= TOLERANCE
+            self.given <= TOLERANCE
             and not packed.closed
             and self.counts.all()
             and not packed.one_sided.declared
@@ -182,8 +187,12 @@ class PathSteps:
         stages, strengths, *_ = problem.levels
         rules = (self.max_step, STRETCH, SMALL, WEAK, DAMPING, UNEVEN, STAYS, ALIKE)
         limits = np.stack([self.system.lower, self.system.upper])
+        weights = loops.weights
+        if not problem.limits:
+            limits = np.stack([np.full(layout.nv, -np.inf), np.full(layout.nv, np.inf)])
+            weights = remove_limits(self.system, loops)
         return (
-            (loops.ints, loops.floats, loops.plan, loops.weights, stages, strengths),
+            (loops.ints, loops.floats, loops.plan, weights, stages, strengths),
             (counted, np.array(rules), limits, problem.iterations, problem.loose, problem.rng),
         )
 
@@ -422,6 +431,26 @@ class PathSteps:
             found, whole = self.find_landing(self.rows[i], q, moved)
             if found is not None and np.linalg.norm(whole - moved) <= 0.5 * np.linalg.norm(moved):
                 return found
+        return q
+
+    def move_home(self, i: int, q: Array, home: Home) -> Array:
+        """Move by self-motion at target i to the configuration that is nearest to `home`.
+
+        So the path is a function of the targets, and returns where they do (Baillieul, 1985).
+        """
+        layout = self.system.structure.layout
+        for _ in range(HOMEWARDS):
+            pull = home.weights * layout.compute_difference(q, home.q) / self.scale
+            J = self.evaluate_residuals(self.rows[i], q)[1]
+            N = Spectrum(J).compute_null_space(Level.GENERIC).T
+            way = N.T @ (N @ pull)
+            size = float(np.linalg.norm(way))
+            if size < 1e-9:
+                break
+            found, _ = self.find_landing(self.rows[i], q, way * min(1.0, AVOID / size))
+            if found is None:
+                break
+            q = found
         return q
 
     def find_landing(self, problem: Demands, q: Array, ahead: Array) -> tuple[Array | None, Array]:
@@ -691,14 +720,24 @@ def ik_path(
     *,
     max_step: float = 0.5,
     restart: bool = False,
-    branches: bool = False,
+    branches: bool | str = False,
+    cost: Any = "motion",
+    closed: bool = False,
     tolerance: float | tuple[float, float] | None = None,
     budget: Budget | None = None,
 ) -> IkPath:
     """Find configurations in which a frame follows targets without a jump; see `System.ik_path`."""
     if not 0.0 < max_step < math.inf:
         raise InputError(f"max_step is {max_step!r}; it must be a positive number")
-    options = {"max_step": max_step, "restart": restart, "branches": branches}
+    if branches not in (False, True, "best"):
+        raise InputError(f'branches is {branches!r}; it must be False, or True or "best"')
+    options = {
+        "max_step": max_step,
+        "restart": restart,
+        "branches": branches,
+        "cost": read_cost(cost),
+        "closed": closed,
+    }
     wanted = targets if frame is None else _make_pose_task(system, targets, frame)
     name = None if frame is None else system.structure.frame_name(frame)
     problem = Problem(
@@ -738,46 +777,30 @@ def solve_path(problem: Problem) -> IkPath:
         )
     for task, goals in zip(demands.tasks, demands.goals, strict=True):
         refuse_goal(goals, task.label)
-    way = _FollowedPath(demands, options["max_step"], time, spend.progress)
+    way = FollowedPath(demands, options["max_step"], time, spend.progress)
     n = demands.lead[0]
     none = IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), "", demands)
     begin = 0
-    begins = list[Array]()
+    starts = list[Array]()
     try:
         with time:
             q0, info, begin = way.find_first_configuration(first, restart)
             if info[0, 0] != SOLVED:
                 why = make_checked_answer(way.rows[begin], q0, info).status
                 return replace(none, reason=f"the path does not begin: target {begin} is {why}")
-            begins.append(q0[0])
+            starts = [q0[0]]
             if options["branches"]:
-                begins += [
-                    *way.find_other_configurations(begin, q0[0]),
-                    *_list_all_solutions(problem, way.rows[begin], begin, q0[0]),
-                ]
+                starts = list_starts(problem, way, begin, q0[0])
     except BROKEN_OFF as error:
         interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
-        if not begins or interrupted:
+        if not starts or interrupted:
             said = f"the path does not begin{describe_early_end(interrupted, late)}"
             return replace(none, reason=said, interrupted=interrupted, late=late)
-    if not options["branches"]:
-        return way.keep_rolling_part(way.find_best_path(begins[0], restart, begin), begin)
-    begins = _drop_equal_configurations(begins)
-    paths: list[IkPath] = []
-    for q in begins:
-        paths.append(way.find_best_path(q, restart, begin))
-        if paths[-1].interrupted or paths[-1].late:
-            break
-    paths = [way.keep_rolling_part(p, begin) for p in paths]
-    return min(
-        paths,
-        key=lambda p: (
-            -_count_followed_targets(p),
-            -np.sum(p.success),
-            len(p.jumps),
-            _compute_length(p),
-        ),
-    )
+    if options["branches"]:
+        path = find_best_branch(way, starts, begin, restart, options["cost"])
+    else:
+        path = way.keep_rolling_part(way.find_best_path(starts[0], restart, begin), begin)
+    return close_path(way, path, begin) if options["closed"] else path
 
 
 def _make_pose_task(system: Model, targets: Any, frame: FrameLike) -> Constraint:
@@ -791,12 +814,18 @@ def _make_pose_task(system: Model, targets: Any, frame: FrameLike) -> Constraint
     return held
 
 
-class _FollowedPath(PathSteps):
+class FollowedPath(PathSteps):
     """The way of targets, and the path along it, with self-motions away from limits where `avoids`
     is not 0.
     """
 
     avoids = 0.0
+    home: Home | None = None
+
+    def copy_without_limits(self) -> FollowedPath:
+        """Return the same way, with joints that have no limits."""
+        free = replace(self.problem, limits=False)
+        return FollowedPath(free, self.max_step, self.budget, self.progress)
 
     def find_first_configuration(
         self, first: Array, restart: bool
@@ -888,7 +917,7 @@ class _FollowedPath(PathSteps):
             return path
         for self.avoids in AVOIDING:
             other = self.follow_path(q, restart, begin)
-            if _count_followed_targets(other) > _count_followed_targets(path):
+            if count_followed_targets(other) > count_followed_targets(path):
                 path = other
             elif other.interrupted or other.late:
                 broken = describe_early_end(other.interrupted, other.late).strip(" ()")
@@ -928,7 +957,7 @@ class _FollowedPath(PathSteps):
             said.append(describe_early_end(interrupted, late).strip(" ()"))
         untouched = find_untouched_places(self.problem.packed, self.problem.pins)
         out[:, untouched] = q[untouched]  # to the last bit
-        success = self._check_configurations(out)
+        success = self.check_configurations(out)
         status = f"{success.sum()} of {format_count(n, 'target')} followed"
         jumped = (
             f" with {len(jumps)} jump{'s' if len(jumps) > 1 else ''}" if jumps and restart else ""
@@ -967,7 +996,7 @@ class _FollowedPath(PathSteps):
         before = np.zeros(nv + 1)  # the scaled step to target i - 1, and the length of its way
         i = begin
         while (i := i + 1) < len(out):
-            if not (broken or self.avoids):
+            if not (broken or self.avoids or self.home is not None):
                 i = self.follow_plain_targets(out, i, before)
                 q = out[i - 1]
                 if i == len(out):
@@ -1003,11 +1032,13 @@ class _FollowedPath(PathSteps):
                 before[:nv] = moved if not step.any() else moved + self.calm * (step - moved)
                 before[nv] = way
             q = self.move_from_limits(i, found, self.avoids) if self.avoids else found
+            if self.home is not None:
+                q = self.move_home(i, q, self.home)
             out[i] = q
             if self.progress is not None:
                 self.progress(i + 1)
 
-    def _check_configurations(self, q: Array) -> np.ndarray:
+    def check_configurations(self, q: Array) -> np.ndarray:
         """Check configurations (n, nq) by the forward model; those that fail become NaN."""
         info = np.zeros((len(q), 3), dtype=np.int64)
         info[np.isnan(q).any(axis=1), 0] = Status.BAD_INPUT
@@ -1029,50 +1060,6 @@ def _describe_stop(
     name = system.structure.velocity_names[far]
     known = "" if restart else "; whether a way without a jump exists is not known"
     return f"{where}; target {i} is reached by a jump of {change[far]:.3g} in {name!r}{known}"
-
-
-def _list_all_solutions(problem: Problem, row: Demands, begin: int, q: Array) -> list[Array]:
-    """List the solutions of `ik_all` for target `begin` inside the limits."""
-    if (
-        problem.frame is None
-        or is_moved_by_loop(problem.system, problem.frame)
-        or has_shared_coordinates(problem.system, problem.frame)
-    ):
-        return []
-    from kempe.inverse.ik_all import ik_all
-
-    try:
-        found = ik_all(problem.system, read_reals(problem.targets, "targets")[begin], problem.frame)
-    except UnsupportedError:
-        return []
-    starts = found.q[found.inside]
-    untouched = find_untouched_places(row.packed, row.pins)
-    starts[:, untouched] = q[untouched]
-    answers = [row.run_search(x[None]) for x in starts]
-    return [x[0] for x, info in answers if info[0, 0] == SOLVED]
-
-
-def _drop_equal_configurations(configurations: list[Array]) -> list[Array]:
-    out: list[Array] = []
-    for q in configurations:
-        if all(np.abs(q - other).max(initial=0.0) > 1e-6 for other in out):
-            out.append(q)
-    return out
-
-
-def _count_followed_targets(path: IkPath) -> int:
-    """Count the targets before the first one that is not reached continuously."""
-    bad = [*np.flatnonzero(~path.success), *path.jumps, len(path)]
-    return int(min(bad))
-
-
-def _compute_length(path: IkPath) -> float:
-    q = path.q[path.success]
-    return float(
-        np.linalg.norm(
-            path.system.structure.layout.compute_difference(q[:-1], q[1:]), axis=-1
-        ).sum()
-    )
 
 
 SOLVERS = (
