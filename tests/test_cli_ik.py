@@ -69,6 +69,20 @@ def test_a_puma_has_eight(folder):
         np.testing.assert_allclose(pose["xyz"], [0.5, 0.2, 0.1], atol=1e-9)
 
 
+def test_a_table_of_answers_is_read_as_configurations(folder):
+    """Columns for success, errors and targets stand in it, and `kempe fk` reads the coordinates."""
+    Path("t.csv").write_text("x,y,z\n0.5,0.2,0.1\n0.4,0.3,0.2\n")
+    words = ("ik", "puma560", "--frame", "tool", "--task", "position", "--target", "t.csv")
+    assert Result(*words, "-o", "q.csv").code == 0
+    head = Path("q.csv").read_text().splitlines()[0]
+    assert head == (
+        "q1,q2,q3,q4,q5,q6,success,position_error,orientation_error,target_x,target_y,target_z"
+    )
+    poses = Result("fk", "puma560", "--frame", "tool", "--q", "q.csv", "--json").json()
+    xyz = [pose["xyz"] for pose in poses["configurations"]]
+    np.testing.assert_allclose(xyz, [[0.5, 0.2, 0.1], [0.4, 0.3, 0.2]], atol=1e-6)
+
+
 def test_limits():
     """Elbow-up breaks the limit: it is listed, but does not count."""
     for limits, inside in (("[0, 3]", [True, False]), ("[0, 1]", [False, False])):
@@ -235,7 +249,7 @@ def test_a_path():
     result = Result(*words, "-o", "q.csv", "--deg")
     assert result.code == 0 and "12 of 12 targets followed" in result.out
     assert "largest step" in result.out
-    found = np.deg2rad(np.loadtxt("q.csv", delimiter=",", skiprows=1))
+    found = np.deg2rad(np.loadtxt("q.csv", delimiter=",", skiprows=1)[:, :7])
     np.testing.assert_allclose(kempe.load("panda").fk(found, HAND)[:, :3, 3], targets, atol=1e-9)
     data = Result(*words, "--json").json()
     assert data["success"] and len(data["q"]) == 12

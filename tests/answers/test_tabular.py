@@ -60,7 +60,9 @@ def test_what_is_saved_is_the_table(what: str, tmp_path: Path):
         len(columns),
         len(names),
     )
-    np.testing.assert_array_equal(np.load(binary), columns)
+    plain = np.load(binary)
+    np.testing.assert_array_equal(plain, columns[:, : plain.shape[1]])
+    assert not {*answer.system.coordinate_names} & {*names[plain.shape[1] :]}
     head, *lines = text.read_text().splitlines()
     assert head.split(",") == names
     np.testing.assert_array_equal(
@@ -75,6 +77,54 @@ def test_angles_of_a_drive_are_saved_in_degrees(tmp_path: Path):
     angles = [name in drive.system.coordinate_names for name in names]
     shown = np.load(drive.save(tmp_path / "x.npy", degrees=True))
     np.testing.assert_allclose(shown, np.where(angles, np.degrees(columns), columns), rtol=1e-15)
+
+
+def test_tables_have_success_errors_and_targets():
+    arm = kempe.load("ur5")
+    X = targets(arm, 3)
+    X[1, :3, 3] = 9.0
+    answer = arm.ik(X, "tool")
+    table = dict(zip(answer.table()[0], answer.table()[1].T, strict=True))
+    assert table["success"].tolist() == [1, 0, 1]
+    np.testing.assert_array_equal(table["position_error"], answer.position_error)
+    np.testing.assert_array_equal(table["orientation_error"], answer.orientation_error)
+    words = ("x", "y", "z", "roll", "pitch", "yaw")
+    xyz_rpy = np.column_stack([table[f"target_{word}"] for word in words])
+    np.testing.assert_allclose(kempe.spatial.pose_from_xyz_rpy(xyz_rpy), X, atol=1e-12)
+
+
+def test_each_of_all_solutions_has_its_target_and_error():
+    arm = kempe.load("two_link")
+    answer = arm.ik_all([[0.6, 0.3], [5, 5], [0.2, 0.4]], "e")
+    table = dict(zip(answer.table()[0], answer.table()[1].T, strict=True))
+    assert table["target"].tolist() == [0, 0, 2, 2] and table["inside"].all()
+    assert table["target_x"].tolist() == [0.6, 0.6, 0.2, 0.2] and set(table["branch"]) == {0, 1}
+    assert (table["residual"] < 1e-12).all() and "target_yaw" not in table
+    assert arm.ik_all([5, 5], "e").table()[1].shape == (0, 7)
+
+
+def test_targets_are_saved_in_degrees_and_errors_in_radians(tmp_path: Path):
+    answer = kempe.load("ur5").ik(targets(kempe.load("ur5"), 2), "tool")
+    names, columns = answer.table()
+    file = answer.save(tmp_path / "x.csv", degrees=True)
+    shown = np.loadtxt(file, delimiter=",", skiprows=1)
+    angles = [n in answer.system.coordinate_names or n[-3:] in ("oll", "tch", "yaw") for n in names]
+    np.testing.assert_allclose(shown, np.where(angles, np.degrees(columns), columns), rtol=1e-14)
+
+
+def test_a_coordinate_keeps_its_column():
+    m = kempe.Mechanism("arm", dim=2)
+    m.revolute("success", m.ground, m.body("a"))
+    m.frame("tip", "a", at=(1, 0))
+    names, columns = m.build().ik([0, 1], "tip", task="position").table()
+    assert names.count("success") == 1
+    np.testing.assert_allclose(columns[0, 0], np.pi / 2)
+
+
+def test_a_data_frame_has_masks():
+    pytest.importorskip("pandas")
+    frame = kempe.load("two_link").ik([[0.6, 0.3], [5, 5]], "e").to_dataframe()
+    assert len(frame[frame.success]) == 1 and frame.target_x.tolist() == [0.6, 5.0]
 
 
 def test_frames_of_a_motion_are_chosen_when_it_is_saved(tmp_path: Path):

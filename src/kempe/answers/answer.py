@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
-from kempe.answers.tables import Tabular
+from kempe.answers.tables import TARGET_UNITS, Tabular, convert_columns
 from kempe.arguments import explain_method_errors, read_batch_index
 from kempe.arrays import is_whole, unwrap_scalar
 from kempe.equations.judge import Judgement, judge_configurations
@@ -206,17 +206,24 @@ class Answer(Result, Tabular):
         """
         return import_late_member("films").animate(self.system, self, file, **options)
 
-    def table(self) -> tuple[list[str], Array]:
-        """Return names and columns (n, nq) for a file: the coordinates of each row of `q` [rad, m]."""
+    def _list_columns(self) -> tuple[list[str], Array]:
+        """Return names and columns (n, nq): the coordinates of each row of `q` [rad, m]."""
         return list(self.system.coordinate_names), np.reshape(self.q, (-1, self.system.nq))
 
     def _list_units(self) -> dict[str, str]:
-        """Return the unit of each coordinate by its name."""
-        return list_units(self.system)
+        """Return the unit of each coordinate, and of each angle of a target, by its name."""
+        return TARGET_UNITS | list_units(self.system)
 
     def _list_dataframe_rows(self, degrees: bool) -> tuple[Sequence[str], Any]:
-        """Return names and columns (n, nq) of the `table`, with angles in radians or degrees."""
-        return self._convert_table(degrees)
+        """Return the columns of the `table`, with angles in radians or degrees; masks are bools."""
+        names, columns = convert_columns(*self.table(), self._list_units(), degrees)
+        kinds = {name: x.dtype for name, x in self._list_outcomes().items()}
+        for name in self.system.coordinate_names:
+            kinds.pop(name, None)
+        return names, {
+            name: column.astype(kinds.get(name, float))
+            for name, column in zip(names, columns.T, strict=True)
+        }
 
     def expect(self) -> Self:
         """Return the answer itself if it is a success.

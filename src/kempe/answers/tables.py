@@ -22,24 +22,40 @@ class Tabular:
     """An answer with a `table`, which `save` writes to a file. Base of answers with configurations."""
 
     def table(self) -> tuple[list[str], Array]:
-        """Return names and columns (n, k) for a file, in radians and metres."""
-        raise NotImplementedError
+        """Return names and columns (n, k) of a table, in radians and metres.
+
+        The configurations come first; success, errors and targets follow where the answer has them.
+        """
+        names, columns = self._list_columns()
+        outcomes = self._list_outcomes()
+        own = [name for name in outcomes if name not in names]
+        return [*names, *own], np.column_stack([columns, *(outcomes[name] for name in own)])
 
     def save(self, path: str | Path, *, degrees: bool = False) -> Path:
-        """Write the `table` to a .csv file (with column names) or a .npy file, and return the path.
+        """Write the answer to a .csv or .npy file, and return the path.
 
-        Numbers are written in full: what is read again is equal. With `degrees` columns of angles
-        are degrees. Errors: `InputError` for other endings, and where the file cannot be written.
+        A .csv file has the whole `table` with the names of its columns. A .npy file has no names:
+        it holds the configurations, without success, errors and targets.
+
+        Numbers are written in full: what is read again is equal. With `degrees` the angles of
+        configurations and targets are degrees; errors stay in radians. Errors: `InputError` for
+        other endings, and where the file cannot be written.
         """
-        return write_table(path, *self._convert_table(degrees))
+        plain = check_table_path(path).suffix.lower() == ".npy"
+        table = self._list_columns() if plain else self.table()
+        return write_table(path, *convert_columns(*table, self._list_units(), degrees))
 
-    def _list_units(self) -> dict[str, str]:
-        """Return the units of the columns by name."""
+    def _list_columns(self) -> tuple[list[str], Array]:
+        """Return names and columns (n, k) of the configurations, in radians and metres."""
+        raise NotImplementedError
+
+    def _list_outcomes(self) -> dict[str, np.ndarray]:
+        """Return the further columns (n,) of the `table` by name: success, errors, targets."""
         return {}
 
-    def _convert_table(self, degrees: bool) -> tuple[list[str], Array]:
-        """Convert the `table` to degrees if that is requested."""
-        return convert_columns(*self.table(), self._list_units(), degrees)
+    def _list_units(self) -> dict[str, str]:
+        """Return the units of the columns by name; columns that are never converted have none."""
+        return {}
 
 
 def convert_columns(
@@ -149,6 +165,22 @@ COLUMNS = {
     3: [PLACE, (*PLACE, *TURNED), (*PLACE, *QUATERNION)],
 }
 """What columns of targets can be, in the plane and in space; the first are positions only."""
+
+
+def list_target_columns(dim: int, X: Array, is_position: bool) -> dict[str, np.ndarray]:
+    """Return the columns (n,) of target poses (n, 4, 4) by name, for tables of answers."""
+    values = spatial.xyz_rpy_from_pose(X)
+    if is_position:
+        order = COLUMNS[dim][0]
+    else:
+        order = COLUMNS[dim][1]
+    places = [5 if name == "angle" else (*PLACE, *TURNED).index(name) for name in order]
+    return {f"{TARGET}{name}": values[:, k] for name, k in zip(order, places, strict=True)}
+
+
+TARGET = "target_"
+"""Beginning of the names of columns with targets."""
+TARGET_UNITS = {f"{TARGET}{name}": "rad" for name in ("angle", *TURNED)}
 
 
 def describe_target_columns(dim: int) -> str:

@@ -89,10 +89,13 @@ class Assembly(Answer):
     def _get_solver_residual(self) -> Any:
         return np.where(self.success, self.residual, 0.0)
 
-    def table(self) -> tuple[list[str], Array]:
+    def _list_columns(self) -> tuple[list[str], Array]:
         """Return names and values (n, nq) of the coordinates for a file.
 
         Rows of configurations that are not closed are NaN.
         """
-        names, q = super().table()
+        names, q = super()._list_columns()
         return names, np.where(np.reshape(self.success, (-1, 1)), q, np.nan)
+
+    def _list_outcomes(self) -> dict[str, np.ndarray]:
+        return {"success": np.ravel(self.success), "residual": np.ravel(self.residual)}

@@ -786,6 +786,9 @@ class Modes(Configurations):
         """Titles of the configurations in pictures: names of branches, or else numbers."""
         return tuple(name or str(k) for k, name in enumerate(self.branches, 1))
 
+    def _list_outcomes(self) -> dict[str, np.ndarray]:
+        return {"inside": self.inside, "freedoms": self.freedoms, "residual": self.residual}
+
     def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return list_known_tasks(self.system, self.known)
 

@@ -174,11 +174,19 @@ def parse_joint_names(system: System, flag: str, text: str | None) -> list[str] 
 
 
 def _parse_values(system: System, text: str, degrees: bool) -> Array | dict[str, Any]:
-    """Return configurations (..., nq) of 'a,b,c' or a file; of 'name=value,...' values by name."""
+    """Return configurations (..., nq) of 'a,b,c' or a file; of 'name=value,...' values by name.
+
+    A .csv file that names all coordinates may have further columns, as the tables of answers have:
+    these are not read.
+    """
     if is_table_file(text):
         names, rows = read_table(expand_path(text))
         if names is not None:
-            return parse_known_values(system, [text], degrees)
+            given = parse_known_values(system, [text], degrees, frames=True)
+            if set(system.coordinate_names) <= set(given):
+                own = {*system.coordinate_names, *system.structure.couplings}
+                given = {name: x for name, x in given.items() if name in own}
+            return dict(configurations.compute_source_values(system, given))
     elif "=" in text:
         return parse_known_values(system, text.split(","), degrees)
     else:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 import numpy as np
 
 from kempe.answers.answer import Answer, ConfigurationList, Row
+from kempe.answers.tables import list_target_columns
 from kempe.answers.targets import TASKS, Z_AXIS, make_rotations_along, make_target_constraints
 from kempe.arguments import explain_method_errors
 from kempe.equations.tasks import Task
@@ -338,7 +339,7 @@ class Solutions(ConfigurationList, Answer):
         unit = int(A.SLOT_UNIT)
         return self._reshape_rows(self._code % int(A.MULTIPLICITY_UNIT) // unit - 1)
 
-    def table(self) -> tuple[list[str], Array]:
+    def _list_columns(self) -> tuple[list[str], Array]:
         """Return names and columns for a file: one row for each solution.
 
         Of a batch the number of the target comes first.
@@ -350,6 +351,13 @@ class Solutions(ConfigurationList, Answer):
         mask = mask.reshape(-1, mask.shape[-1])
         q = self.q.reshape(*mask.shape, self.system.nq)[mask]
         return ["target", *names], np.column_stack([np.nonzero(mask)[0].astype(float), q])
+
+    def _list_outcomes(self) -> dict[str, np.ndarray]:
+        row = np.zeros(len(self.q), int) if self.single else np.nonzero(self._used_rows)[0]
+        each = {"inside": self.inside, "branch": self.branch, "residual": self.residual}
+        X = np.reshape(self.problem.targets, (-1, 4, 4))[row]
+        targets = list_target_columns(self.system.dim, X, self.problem.task == "position")
+        return {name: x[self.mask] for name, x in each.items()} | targets
 
     # ---- joints that are held
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 
 from kempe.answers.answer import Answer, Row
+from kempe.answers.tables import list_target_columns
 from kempe.arguments import explain_method_errors, read_batch_index
 from kempe.arrays import unwrap_scalar
 from kempe.equations.slip import has_velocity_constraints
@@ -192,6 +193,19 @@ class Solution(Answer):
         made = make_target_constraints(problem.frame, problem.name, problem.axis, X)
         return [(Task(problem.system, c), None, problem.tolerance) for c in made]
 
+    def _list_outcomes(self) -> dict[str, np.ndarray]:
+        return self._list_errors() | self._list_targets()
+
+    def _list_errors(self) -> dict[str, np.ndarray]:
+        """Return success and errors (n,) of each row as columns of the `table`."""
+        names = ("success", "position_error", "orientation_error")
+        return {name: np.ravel(getattr(self, name)) for name in names}
+
+    def _list_targets(self) -> dict[str, np.ndarray]:
+        """Return the targets (n,) of each row as columns of the `table`."""
+        X = np.reshape(self.problem.targets, (-1, 4, 4))
+        return list_target_columns(self.system.dim, X, self.problem.name == "position")
+
     def plot_history(self, ax: Any = None) -> Any:
         """Plot the errors over the steps on Matplotlib axes.
 
@@ -254,6 +268,9 @@ class Reached(Solution):
 
     def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return self.problem.hard_tasks
+
+    def _list_targets(self) -> dict[str, np.ndarray]:
+        return {}
 
     @cached_property
     def derivative(self) -> dict[str, Array]:

@@ -690,6 +690,10 @@ class IkPath(Configurations):
     def _list_goals(self) -> Sequence[tuple[Any, Any, Any]]:
         return self.problem.hard_tasks
 
+    def _list_outcomes(self) -> dict[str, np.ndarray]:
+        jump = np.isin(np.arange(len(self.q)), self.jumps)
+        return {"success": self.success, "jump": jump, "residual": self.residual}
+
     def _collect_data(self) -> dict[str, Any]:
         return {"success": bool(self), "followed": self.success} | super()._collect_data()
 

@@ -241,7 +241,7 @@ class Sweep(Answer):
     near: Array
     ask: Callable[[Array], Any] | None
 
-    def table(self) -> tuple[list[str], Array]:
+    def _list_columns(self) -> tuple[list[str], Array]:
         """Return names and columns of a table with a row for each feasible sample and branch."""
         row, branch = np.nonzero(self.inside)
         first = [np.asarray(self.values, dtype=float)[row], branch.astype(float)]

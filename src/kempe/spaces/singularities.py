@@ -181,7 +181,7 @@ class Singularities(Report, Tabular):
             f"{format_count(self.starts, 'start')}{tail}"
         )
 
-    def table(self) -> tuple[list[str], Array]:
+    def _list_columns(self) -> tuple[list[str], Array]:
         """Return names and columns (n, nq) for a file: the configurations of all sets."""
         rows = [q for s in self.sets for q in s.q]
         return list(self.system.coordinate_names), np.reshape(rows, (-1, self.system.nq))

@@ -319,7 +319,7 @@ class ReachStudy(Study, Tabular):
         """Reasons why poses are not reached, by the number of the pose from 0."""
         return {i: self.reason(i) for i in np.flatnonzero(self.tried & ~self.reached).tolist()}
 
-    def table(self) -> tuple[list[str], Array]:
+    def _list_columns(self) -> tuple[list[str], Array]:
         """Return names and columns (n, nq) for a file: the configuration of each pose, or NaN."""
         q = np.where(self.reached[:, None], self.q, np.nan)
         return list(self.system.coordinate_names), q
