@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import given, reject, settings
 from random_mechanisms import mechanisms
 from robots import good_urdf_files
 
+from kempe.constraints import Position
 from kempe.description.dh import from_dh
 from kempe.description.mechanism import Mechanism
 from kempe.description.urdf_reader import read_urdf
@@ -162,6 +164,7 @@ def test_all_that_urdf_cannot_say_is_listed():
     m.revolute("re", d, e)
     m.revolute("loop", e, c)
     m.revolute("back", f, m.ground)
+    m.helical("hl", d, b, pitch=0.1)
     m.free("pf", d, p)
     m.planar("pg", d, g, limits={"x": (0, 1)})
     m.couple("re", {"ra": 1.0, "back": 2.0})
@@ -171,8 +174,8 @@ def test_all_that_urdf_cannot_say_is_listed():
         write_urdf(m)
     said = str(caught.value)
     for piece in (
-        "body 'c': 2 joints lead to it ('uc', 'loop'): a loop",
-        "ground 'ground': joint 'back' leads to it",
+        "joint 'hl': it closes a loop, and cannot be said as a <loop_joint>",
+        "body 'f': no joints lead to it from the ground in their own direction",
         "joint 'hb': a helical joint does not exist in URDF",
         "joint 'uc': a universal joint",
         "joint 'sd': a spherical joint by angles",
@@ -188,11 +191,23 @@ def test_all_that_urdf_cannot_say_is_listed():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda m: m.body("lost"), "no joints lead from the ground to 'lost'"),
-        (lambda m: m.fixed("f", m.body("b"), "a"), "a loop"),
+        (lambda m: m.body("lost"), "body 'lost': no joints lead to it from the ground"),
+        (lambda m: m.fixed("f", m.body("b"), "a"), "body 'b': no joints lead to it"),
         (lambda m: m.shape("a", "ellipsoid", radii=(1, 1, 2)), "ellipsoid does not exist in URDF"),
         (
             lambda m: m.shape("a", "sphere", radius=1, at=("1/(l - 1)", 0, 0)),
+            "not a number with these parameters",
+        ),
+        (
+            lambda m: m.constrain(Position("a", (1, 2, 3), at_most=0.1)),
+            "a position does not exist in URDF",
+        ),
+        (
+            lambda m: m.frame("t", "a", at=("1/(l - 1)", 0, 0)),
+            "frame 't': its placement is not a number with these parameters",
+        ),
+        (
+            lambda m: m.fixed("f", m.ground, "a", at=("1/(l - 1)", 0, 0)),
             "not a number with these parameters",
         ),
         (lambda m: m.frame("\x01", "a"), "a character that XML forbids"),
@@ -209,6 +224,62 @@ def test_one_reason_at_a_time(change, words: str):
     m.revolute("j", m.ground, m.body("a"))
     change(m)
     with pytest.raises(DescriptionError, match=words):
+        write_urdf(m)
+
+
+def test_loops_are_between_the_same_frames():
+    m = Mechanism("m")
+    m.parameter("l", 0.4)
+    a = m.body("a")
+    b = m.body("b")
+    m.revolute("y", m.ground, a, limits=(-1, 1))
+    m.revolute("z", a, b, at=(1, 0, 0), limits=(-1, 1))
+    m.revolute("r", b, m.ground, at=(1, 2, 3), axis=(1, 2, 2), child_at=(0.1, 0.2, 0.3))
+    m.prismatic("p", a, b, rpy=(0.1, 0.2, 0.3), child_rpy=(0.3, 0.2, 0.1))
+    m.fixed("f", b, a, at=(0, 0, 1), rpy=(0.1, 0.2, 0.3))
+    m.spherical("s", m.ground, a, child_at=(0, "l", 0), child_rpy=(1, 0, 0))
+    m.helical("h", m.ground, b, pitch=0.1, child_at=(0.3, 0, 0))
+    m.lock({"h": 0.7})
+    m.frame("tip", b, at=(0.1, 0.2, 0.3), rpy=(1, 2, 3))
+    m.constrain(Position("tip", (1, "l", 3), (0.1, 0, 0)), name="<p>")
+    m.constrain(Position("b", (1, 2, 3), other="a"), name="q")
+    again = read_urdf(write_urdf(m))
+    assert [j.name for j in again.joints.values() if j.cut] == ["r", "p", "f", "s", "h"]
+    for name in "rpfsh":
+        one, other = m.joints[name], again.joints[name]
+        assert (one.parent, one.child) == (other.parent, other.child)
+        assert other.type.type_name == ("fixed" if name == "h" else one.type.type_name)
+        held = place((0, 0, 0.07), angle=0.7) if name == "h" else place()
+        F = (one.X_PF @ held).evaluate_pose(m.parameters)
+        np.testing.assert_allclose(other.X_PF.evaluate_pose({}), F, rtol=0, atol=1e-15)
+        M = one.X_CM.evaluate_pose(m.parameters)
+        np.testing.assert_allclose(other.X_CM.evaluate_pose({}), M, rtol=0, atol=1e-15)
+    for name, points in {"<p>": ((1, 0.4, 3), (0.1, 0, 0)), "q": ((1, 2, 3), (0, 0, 0))}.items():
+        one, other = m.constraints[name], again.constraints[name]
+        assert (one.parent, one.child) == (other.parent, other.child)
+        A, B = other.frames({}, 3)
+        np.testing.assert_allclose(A[:3, 3], points[0], rtol=0, atol=1e-15)
+        point = (one.X_CM @ place(points[1])).evaluate_pose({})
+        np.testing.assert_allclose(B[:3, 3], point[:3, 3], rtol=0, atol=1e-15)
+
+
+def test_marked_joints_close_the_loop_and_limits_stay_in_the_tree():
+    m = Mechanism("m", dim=2)
+    a, b = m.body("a"), m.body("b")
+    m.revolute("p", m.ground, a)
+    m.revolute("q", a, b, at=(1, 0))
+    m.revolute("r", m.ground, b, at=(3, 0), child_at=(1, 0))
+
+    def list_closing_joints() -> list[str]:
+        return [j.name for j in read_urdf(write_urdf(m)).joints.values() if j.cut]
+
+    assert list_closing_joints() == ["r"]
+    m.joints["q"] = replace(m.joints["q"], cut=True)
+    assert list_closing_joints() == ["q"]
+    m.joints["q"] = replace(m.joints["q"], limits={"": (-1.0, 1.0)})
+    assert list_closing_joints() == ["r"]
+    m.couple("r", {"p": 1.0})
+    with pytest.raises(DescriptionError, match="joint 'q': it closes a loop, and cannot be said"):
         write_urdf(m)
 
 

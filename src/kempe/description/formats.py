@@ -68,8 +68,9 @@ URDF = Format(
     recognises=lambda start: start.startswith("<"),
     options=("base", "root", "lenient_limits", "package_dirs", "srdf", "beside"),
     cannot={
-        "loops, joints from child to parent": (
-            "in URDF one joint leads to each body, and none to the ground"
+        "loops closed by other joints, or by ones with limits": (
+            "a <loop_joint> is revolute, prismatic, spherical or fixed, and has neither limits nor a "
+            "mimic: mark another joint of the loop by cut=True, or save as .toml"
         ),
         "bodies that no joint carries": "join them to the ground, by joints from parent to child",
         "joints of other types": (
@@ -81,7 +82,9 @@ URDF = Format(
         "couplings with several sources": "a mimic follows one",
         "couplings of a part of a joint": "revolute and prismatic joints can mimic each other",
         "particles": "URDF has rigid bodies only",
-        "constraints that are not joints": "URDF has joints only; a .toml file can hold it",
+        "constraints that are not joints": (
+            "URDF has joints, and Drake two points that coincide; a .toml file can hold it"
+        ),
         "control characters in names": "rename it",
         "ellipsoids": "give it as a mesh, or as a capsule",
     },
@@ -98,7 +101,7 @@ URDF = Format(
         "shapes that are seen and collide (they become a visual and a collision)",
     ),
 )
-"""The format of ROS; its links and joints form a tree."""
+"""The format of ROS; its links and joints form a tree, which elements of simulators close."""
 
 TOML = Format(
     "TOML",

@@ -13,7 +13,7 @@ import numpy as np
 from kempe import spatial
 from kempe.description.formats import SDF
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Joint, Shape
+from kempe.description.parts import Body, Declared, Joint, Shape
 from kempe.description.sdf_scopes import GROUND, MODEL
 from kempe.description.shapes import Mesh, list_size_names
 from kempe.description.urdf_writer import UrdfWriter, reserve_name
@@ -159,6 +159,10 @@ class _SdfWriter(UrdfWriter):
                     self.findings.add_problem(said, f"{kind} {name!r}", part.where, allowed)
                 seen[name] = kind
 
+    def is_writable_constraint(self, constraint: Declared) -> bool:
+        """Whether a constraint can be written: SDF has joints only."""
+        return False
+
     def place_bodies(self) -> None:
         """Compute the poses of all bodies where all coordinates are zero."""
         around: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
@@ -188,10 +192,6 @@ class _SdfWriter(UrdfWriter):
                 self.m.bodies[lost[0]].where,
                 self.format.cannot["bodies that no joint carries"],
             )
-
-    def is_locked_joint(self, joint: Joint) -> bool:
-        """Whether all coordinates of a joint are locked."""
-        return all(c in self.held for c in self.list_coordinates(joint))
 
     def place_on_parent(self, joint: Joint) -> Placement:
         """Return the placement of frame M on the parent at zero or locked coordinates."""

@@ -84,8 +84,10 @@ _ELSEWHERE = {
     "self_collision_checking": ("origin",),
     "sensor": ("origin", "parent"),
     "self_filter": ("origin",),
+    "loop_joint": ("axis",),
 }
-"""Elements of the same names that say something else there: where a visual or a sensor is."""
+"""Elements of the same names that say something else there: where a visual or a sensor is, and the
+axis of a loop joint, which its own reader reads."""
 
 _NOT_READ = (
     "name",

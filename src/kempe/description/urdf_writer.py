@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
@@ -13,12 +15,13 @@ import numpy as np
 from kempe import spatial
 from kempe.description.formats import URDF
 from kempe.description.mechanism import Mechanism
-from kempe.description.parts import Body, Joint, Shape
+from kempe.description.parts import Body, Declared, Joint, Shape
 from kempe.description.source import Findings, choose_numbered_name
 from kempe.description.urdf_elements import UNLIMITED, WITHOUT_AXIS
+from kempe.description.urdf_loops import BALL, BODIES, LOOP_TYPES, POINTS
 from kempe.description.urdf_reader import find_reachable_bodies
 from kempe.description.urdf_shapes import NEWER, format_shape, is_writable_shape
-from kempe.errors import InputError
+from kempe.errors import InputError, Where
 from kempe.joints import Q, R
 from kempe.poses import Placement
 from kempe.values import evaluate_value
@@ -43,9 +46,10 @@ def write_urdf(mechanism: Mechanism) -> str:
 
     Parameters are evaluated, locked joints become fixed ones, named frames become links without
     mass. A body whose origin lies off the axis of its joint gets a link of its own for the joint's
-    frame. Unlimited prismatic joints get limits of +-1e308, since URDF demands some. Postures,
-    notes and the marks of actuated joints are left out. Errors: `DescriptionError` listing all that
-    URDF cannot say, by `URDF.cannot` of `kempe.description.formats`.
+    frame. Unlimited prismatic joints get limits of +-1e308, since URDF demands some. A joint that
+    closes a loop becomes a <loop_joint>, two points that coincide a <drake:ball_constraint>.
+    Postures, notes and the marks of actuated joints are left out. Errors: `DescriptionError`
+    listing all that URDF cannot say, by `URDF.cannot` of `kempe.description.formats`.
     """
     return UrdfWriter(mechanism).write_text()
 
@@ -66,9 +70,9 @@ class UrdfWriter:
 
     def write_text(self) -> str:
         """Return the text of the file."""
-        self.check_tree()
-        self.check_constraints()
         self.resolve_couplings()
+        loops = self.choose_loop_joints()
+        self.check_constraints()
         left_out = [f"posture {name!r}" for name in self.m.postures]
         left_out += [f"group {name!r}" for name in self.m.groups]
         if pairs := len(self.m.ignored_pairs):
@@ -79,79 +83,109 @@ class UrdfWriter:
         for body in self.m.bodies.values():
             self.write_body(body)
         for joint in self.m.joints.values():
-            try:
-                self.write_joint(joint)
-            except FloatingPointError as error:
-                self.findings.add_problem(
-                    str(error), f"joint {joint.name!r}", joint.where, "check its parameters"
-                )
+            with self.record_bad_placement(f"joint {joint.name!r}", joint.where):
+                if joint.name in loops:
+                    self.write_loop_joint(joint)
+                else:
+                    self.write_joint(joint)
         for frame in self.m.frames.values():
             self.write_link(frame.name)
-            origin = self.compute_origin(frame.X_BF)
-            self.write_fixed_joint(
-                reserve_name(f"{frame.name}_fixed", self.joints), frame.body, frame.name, origin
-            )
+            name = reserve_name(f"{frame.name}_fixed", self.joints)
+            with self.record_bad_placement(f"frame {frame.name!r}", frame.where):
+                self.write_fixed_joint(
+                    name, frame.body, frame.name, self.compute_origin(frame.X_BF)
+                )
+        for constraint in self.m.constraints.values():
+            if self.is_writable_constraint(constraint):
+                self.write_ball_constraint(constraint)
         self.findings.raise_problems()
         newer = any(s.kind in NEWER for body in self.m.bodies.values() for s in body.shapes)
-        version = ' version="1.1"' if newer else ""
+        attributes = ' version="1.1"' if newer else ""
+        if any(map(self.is_writable_constraint, self.m.constraints.values())):
+            attributes += ' xmlns:drake="http://drake.mit.edu"'
         name = self.quote_text(self.m.name)
-        head = f'<?xml version="1.0" encoding="utf-8"?>\n<robot name={name}{version}>\n'
+        head = f'<?xml version="1.0" encoding="utf-8"?>\n<robot name={name}{attributes}>\n'
         self.findings.raise_problems()
         return head + "\n".join(self.lines) + "\n</robot>\n"
 
+    @contextmanager
+    def record_bad_placement(self, subject: str, where: Where | None) -> Iterator[None]:
+        """Record a placement that is not a number as a problem of `subject`."""
+        try:
+            yield
+        except FloatingPointError as error:
+            self.findings.add_problem(str(error), subject, where, "check its parameters")
+
     # ---- what must hold
 
-    def check_tree(self) -> None:
-        """Refuse a graph that is no tree: each body but the ground must be the child of one joint.
+    def choose_loop_joints(self) -> set[str]:
+        """Return the names of the joints that close loops; the others are a tree from the ground.
 
-        Joints must lead to each body from the ground.
+        A joint can close a loop where the other joints lead to the same bodies, from parent to
+        child. Joints that a <loop_joint> can say are taken first, of these the ones marked `cut`,
+        then those that stand last. Bodies to which no joints lead are a problem.
         """
-        incoming: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
-        for joint in self.m.joints.values():
-            incoming[joint.child].append(joint)
         ground = self.m.ground.name
-        loops = False
-        for body, joints in incoming.items():
-            if len(joints) > (body != ground):
-                loops = True
-                last = joints[-1]
-                names = ", ".join(repr(j.name) for j in joints)
-                what = (
-                    f"{len(joints)} joints lead to it ({names}): a loop, or a joint given from "
-                    "child to parent"
-                    if body != ground
-                    else f"joint {names} leads to it"
-                )
-                allowed = self.format.cannot["loops, joints from child to parent"]
-                self.findings.add_problem(
-                    what,
-                    f"body {body!r}" if body != ground else f"ground {body!r}",
-                    last.where,
-                    allowed,
-                )
-        reached = find_reachable_bodies(
-            ground, ((j.parent, j.child) for j in self.m.joints.values())
-        )
+        tree = dict(self.m.joints)
+        incoming = Counter(joint.child for joint in tree.values())
+
+        def find_bodies(without: str = "") -> set[str]:
+            """Return the bodies that the joints of the tree reach, all or all but one."""
+            ends = ((j.parent, j.child) for j in tree.values() if j.name != without)
+            return find_reachable_bodies(ground, ends)
+
+        reached = find_bodies()
+
+        def is_replaceable(joint: Joint) -> bool:
+            """Whether another joint leads to the child of a joint; none needs to lead to the ground."""
+            return incoming[joint.child] > (joint.child != ground)
+
+        candidates = filter(is_replaceable, reversed(self.m.joints.values()))
+        for joint in sorted(candidates, key=lambda j: (not self.is_loop_joint(j), not j.cut)):
+            if is_replaceable(joint) and find_bodies(without=joint.name) == reached:
+                del tree[joint.name]
+                incoming[joint.child] -= 1
         lost = [b for b in self.m.bodies if b not in reached]
-        if lost and not loops:
-            shown = join_first_words([*map(repr, lost)], 8)
+        if lost:
+            shown = join_first_words([*map(repr, lost[1:])], 8)
             self.findings.add_problem(
-                f"no joints lead from the ground to {shown} in their own direction, from parent to "
-                "child",
-                "mechanism",
+                "no joints lead to it from the ground in their own direction, from parent to child"
+                + f"; nor to {shown}" * bool(shown),
+                f"body {lost[0]!r}",
                 self.m.bodies[lost[0]].where,
                 self.format.cannot["bodies that no joint carries"],
             )
+        return self.m.joints.keys() - tree.keys()
+
+    def is_loop_joint(self, joint: Joint) -> bool:
+        """Whether a <loop_joint> can say a joint: it has neither limits nor a mimic."""
+        if self.is_locked_joint(joint):
+            return True
+        bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
+        coupled = {*self.mimics, *(source for source, _, _ in self.mimics.values())}
+        known = joint.type.type_name in LOOP_TYPES.values() and not joint.type.options
+        return known and not bounded and joint.name not in coupled
+
+    def is_locked_joint(self, joint: Joint) -> bool:
+        """Whether all coordinates of a joint are locked."""
+        return all(c in self.held for c in self.list_coordinates(joint))
 
     def check_constraints(self) -> None:
-        """Refuse constraints that are not joints."""
+        """Refuse constraints that cannot be written."""
         for constraint in self.m.constraints.values():
+            if self.is_writable_constraint(constraint):
+                continue
             self.findings.add_problem(
                 f"a {constraint.kind} does not exist in {self.format.title}",
                 f"constraint {constraint.name!r}",
                 constraint.where,
                 self.format.cannot["constraints that are not joints"],
             )
+
+    def is_writable_constraint(self, constraint: Declared) -> bool:
+        """Whether a constraint holds two points together, and no more."""
+        dim = self.m.dim
+        return constraint.kind == "position" and constraint.equations(dim) == dim
 
     def is_fixed_joint(self, joint: Joint) -> bool:
         """Whether a joint does not move; locks of only a part of its coordinates are refused."""
@@ -316,6 +350,42 @@ class UrdfWriter:
             reserve_name(f"{joint.name}_fixed", self.joints), between, joint.child, end
         )
 
+    def write_loop_joint(self, joint: Joint) -> None:
+        """Write a joint that closes a loop, between a frame on each of its two links."""
+        if not self.is_loop_joint(joint):
+            self.findings.add_problem(
+                "it closes a loop, and cannot be said as a <loop_joint>",
+                f"joint {joint.name!r}",
+                joint.where,
+                self.format.cannot["loops closed by other joints, or by ones with limits"],
+            )
+            return
+        coordinates = self.list_coordinates(joint)
+        kind = joint.type.type_name
+        on_parent = joint.X_PF
+        if self.is_locked_joint(joint):
+            kind = "fixed"
+            on_parent = on_parent @ self.compute_locked_pose(joint, coordinates)
+        self.lines.append("  <!-- loop_joint: of Isaac Sim and older versions of Drake -->")
+        self.lines.append(f'  <loop_joint name={self.quote_text(joint.name)} type="{kind}">')
+        ends = ((joint.parent, on_parent), (joint.child, joint.X_CM))
+        for number, (link, X) in enumerate(ends, 1):
+            place = _format_place(self.compute_origin(X))
+            self.lines.append(f"    <link{number} link={self.quote_text(link)} {place}/>")
+        if kind not in ("fixed", "spherical"):
+            self.lines.append('    <axis xyz="0.0 0.0 1.0"/>')
+        self.lines.append("  </loop_joint>")
+
+    def write_ball_constraint(self, constraint: Declared) -> None:
+        """Write a constraint of Drake that two points coincide."""
+        self.lines.append(f"  <{BALL} name={self.quote_text(constraint.name)}>")
+        links = (constraint.parent, constraint.child)
+        frames = constraint.frames(self.m.parameters, self.m.dim)
+        for link, X, body, point in zip(links, frames, BODIES, POINTS, strict=True):
+            self.lines.append(f"    <{body} name={self.quote_text(link)}/>")
+            self.lines.append(f'    <{point} value="{_format_numbers(X[:3, 3])}"/>')
+        self.lines.append(f"  </{BALL}>")
+
     def list_coordinates(self, joint: Joint) -> list[str]:
         """Return the names of the coordinates of a joint."""
         names = joint.type.list_coordinate_names(self.m.dim, self.m.bodies[joint.child].particle)
@@ -472,7 +542,12 @@ def reserve_name(name: str, taken: set[str]) -> str:
 
 def format_origin(origin: _Origin) -> str:
     """Return the element <origin>."""
-    return f'<origin xyz="{_format_numbers(origin.xyz)}" rpy="{_format_numbers(origin.rpy)}"/>'
+    return f"<origin {_format_place(origin)}/>"
+
+
+def _format_place(origin: _Origin) -> str:
+    """Return a position and roll, pitch, yaw as attributes."""
+    return f'xyz="{_format_numbers(origin.xyz)}" rpy="{_format_numbers(origin.rpy)}"'
 
 
 def _format_numbers(numbers: Iterable[float]) -> str:
