@@ -18,7 +18,7 @@ from kempe.errors import InputError
 from kempe.forward.fk import query, refuse_bad_configuration
 from kempe.inverse.chain.serial_chain import find_chain, find_obstacle
 from kempe.inverse.constrained_step import ConstrainedSteps, Stage, StageMaker
-from kempe.kernels.compiled import make_allocator, servo_step
+from kempe.kernels.compiled import make_allocator, servo_step, task_step
 from kempe.kernels.forward.table_layout import (
     BALL,
     KIND,
@@ -30,7 +30,7 @@ from kempe.kernels.forward.table_layout import (
 from kempe.kernels.servo.servo_layout import ANSWER, FRACTION, SLOW
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import read_q
-from kempe.model.model import bind_call, keep_answers
+from kempe.model.model import bind_call, keep_answers, store_answer
 from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.least_squares import NEAR
 from kempe.poses import correct_rotations, read_pose_array
@@ -55,6 +55,8 @@ SLIDING = 1.0
 """Largest speeds of joints that the description gives none, in rad/s and m/s."""
 SHORTER = 5
 """Halvings of a step so that no joint turns back from one cycle to the next."""
+KEPT = 64
+"""Sets of weights and priorities whose packed numbers are kept with each structure of tasks."""
 SKEW = 1e-5
 """Sum of what a rotation's product with its transpose may miss."""
 BESIDE = 1e-12
@@ -162,9 +164,7 @@ def ik_step(
                 "keep_direction and weights are for the twist of a frame; tasks have weights of "
                 "their own"
             )
-        return _make_constrained_step(
-            system, q, wanted, None, dt, speed, default, damping, False, None
-        )
+        return _make_task_step(system, q, wanted, dt, speed, default, damping)
     name = system.structure.frame_name(frame)
     if (
         has_velocity_constraints(system)
@@ -342,6 +342,127 @@ class BoundStep:
                     and abs(velocity[self.v_index[name]]) >= self.default[name] * (1.0 - BESIDE)
                 )
         return answer
+
+
+class BoundTaskStep:
+    """`ik_step` of tasks of one structure, with their weights and priorities, without loops."""
+
+    def __init__(self, problem: Demands):
+        packed = problem.packed
+        system = problem.system
+        self.system = system
+        self.packed = packed
+        levels, strengths, *_ = problem.levels
+        counts = [len(t.row_names) for t in packed.loops.ties]
+        level, hard = np.repeat(levels.reshape(2, -1), counts, axis=1)
+        level = np.where(packed.rows >= 0, level, 0)
+        low, high = packed.loops.bounds
+        equal = low == high
+        last = int(level.max(initial=0))
+        is_hard = [bool(hard[level == k].all()) for k in range(last + 1)]
+        rates = int((equal & (level > 0) & (hard == 1)).sum())
+        layout = system.structure.layout
+        q_of = np.full(system.nv, -1)
+        q_of[layout.vector_v] = layout.vector_q
+        self.order = np.concatenate(
+            [
+                [last, len(layout.quaternion_q), rates],
+                level,
+                equal,
+                is_hard,
+                q_of,
+                layout.quaternion_q,
+                layout.quaternion_v,
+            ]
+        ).astype(np.int64)
+        self.numbers = np.concatenate(
+            [
+                packed.scale,
+                system.lower,
+                system.upper,
+                np.repeat(np.sqrt(strengths[:, 0]), counts),
+                low,
+                high,
+            ]
+        )
+        self.new = make_allocator(system.nq + 2 * system.nv + 1 + rates)
+
+    def take_step(
+        self, pins: Array, q: Array, dt: float, speed: Array, damping: float, default: Any
+    ) -> IkStep | None:
+        """Take a step towards the goals in `pins` (k,); None where these or q are none."""
+        system = self.system
+        loops = self.packed.loops
+        out = self.new()
+        count = task_step.compute_task_step(
+            loops.ints,
+            loops.floats,
+            loops.plan,
+            loops.weights,
+            pins,
+            self.order,
+            self.numbers,
+            q,
+            speed,
+            dt,
+            damping,
+            out,
+        )
+        if count < 0:
+            return None
+        nq = system.nq
+        end = nq + system.nv
+        velocity = out[nq:end]
+        names = ()
+        if count:
+            limited = out[end + 1 : end + 1 + system.nv].tolist()
+            every = system.structure.velocity_names
+            names = tuple(name for name, at in zip(every, limited, strict=True) if at)
+        return IkStep(
+            out[:nq],
+            velocity,
+            out[end + 1 + system.nv :],
+            out.item(end),
+            names,
+            system,
+            _select_default_speeds(system, names, velocity, speed, default),
+        )
+
+
+def _make_task_step(
+    system: Model,
+    q: Array,
+    wanted: Any,
+    dt: float,
+    speed: Array,
+    default: np.ndarray | None,
+    damping: float,
+) -> IkStep:
+    """Make a step for tasks: in one kernel call where no loops or declared constraints hold."""
+    problem = make_step_problem(system, wanted, q)
+    packed = problem.packed
+    if not (
+        packed.closed
+        or packed.one_sided.declared
+        or has_velocity_constraints(system)
+        or any(t.function is not None for t in packed.loops.ties)
+    ):
+        key = BoundTaskStep, *((t.priority, t.weight) for t in problem.tasks)
+        bound = packed.stages.get(key)
+        if bound is None:
+            bound = store_answer(packed.stages, key, BoundTaskStep(problem), KEPT)
+        pins = np.ascontiguousarray(problem.pins[0])
+        answer = bound.take_step(
+            pins,
+            np.ascontiguousarray(q),
+            float(dt),
+            np.ascontiguousarray(speed),
+            float(damping),
+            default,
+        )
+        if answer is not None:
+            return answer
+    return _make_constrained_step(system, q, wanted, None, dt, speed, default, damping, False, None)
 
 
 def _select_default_speeds(

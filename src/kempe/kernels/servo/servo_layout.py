@@ -26,3 +26,10 @@ WRONG_SHAPE = -3
 
 SLOW = 0.0499
 """Part of its speed above which no joint turns back from one cycle to the next."""
+
+TASK_HEAD = 3
+"""Integers in front of the order of tasks: levels, quaternions, equations of hard levels. Then follow
+the level of each row of ties (from 1 on, 0 for none), whether it is an equation, whether each level
+is hard (from 0 on), the coordinate of each velocity (-1 for quaternions), and places of quaternions
+in q and among velocities. The numbers are the scales of the velocities, their limits, and weights
+and bounds of the rows."""
