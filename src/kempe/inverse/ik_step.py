@@ -438,11 +438,17 @@ def _make_task_step(
     default: np.ndarray | None,
     damping: float,
 ) -> IkStep:
-    """Make a step for tasks: in one kernel call where no loops or declared constraints hold."""
-    problem = make_step_problem(system, wanted, q)
+    """Make a step for tasks: in one kernel call where no loops or declared constraints hold.
+
+    The kernel gives no step for goals that are none; the general way says why.
+    """
+    from kempe.inverse.tasks.search import make_demands
+
+    problem, _ = make_demands(system, wanted, q)
     packed = problem.packed
     if not (
-        packed.closed
+        problem.lead
+        or packed.closed
         or packed.one_sided.declared
         or has_velocity_constraints(system)
         or any(t.function is not None for t in packed.loops.ties)
