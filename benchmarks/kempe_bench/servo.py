@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from kempe import tasks
 from kempe.description.urdf_writer import write_urdf
 from kempe.spatial import Array
 from kempe_bench import peers
@@ -58,8 +59,23 @@ class KempeStream(Stream):
         ).q
 
 
+class KempeTaskStream(KempeStream):
+    """`ik_step` of tasks: the hand's position, and the starting posture in what that leaves."""
+
+    def step(self) -> None:
+        """One cycle."""
+        wanted = [
+            tasks.Position(self.frame, self.next_target()[:3, 3]),
+            tasks.Posture(q=self.start, weight=1.0, priority=1),
+        ]
+        self.q = self.system.ik_step(self.q, wanted, dt=CYCLE, velocity_limits=SPEED).q
+
+
 class MinkStream(Stream):
     """mink: a quadratic program for each cycle by daqp, on MuJoCo."""
+
+    turns = 1.0
+    """Cost of the orientation."""
 
     def __init__(self, arm: peers.Arm, start: Array, targets: Array):
         mink = peers.module("mink")
@@ -73,8 +89,9 @@ class MinkStream(Stream):
         self.configuration.update(start)
         self.solve = mink.solve_ik
         self.task = mink.FrameTask(
-            arm.frame, "body", position_cost=1.0, orientation_cost=1.0, lm_damping=1e-3
+            arm.frame, "body", position_cost=1.0, orientation_cost=self.turns, lm_damping=1e-3
         )
+        self.tasks = [self.task]
         joints = [mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, i) for i in range(model.njnt)]
         limits = [
             mink.ConfigurationLimit(model),
@@ -85,12 +102,24 @@ class MinkStream(Stream):
     def step(self) -> None:
         """One cycle."""
         self.task.set_target(self.next_target())
-        v = self.solve(self.configuration, [self.task], CYCLE, **self.options)
+        v = self.solve(self.configuration, self.tasks, CYCLE, **self.options)
         self.configuration.integrate_inplace(v, CYCLE)
 
 
+class MinkTaskStream(MinkStream):
+    """mink with a position and a posture of small cost: it has no strict priorities here."""
+
+    turns = 0.0
+
+    def __init__(self, arm: peers.Arm, start: Array, targets: Array):
+        super().__init__(arm, start, targets)
+        posture = peers.module("mink").PostureTask(self.configuration.model, cost=1e-2)
+        posture.set_target(start)
+        self.tasks.append(posture)
+
+
 def stream(bench: Bench) -> Grid:
-    """One cycle towards poses on a circle, and towards poses out of reach."""
+    """One cycle towards poses on a circle, poses out of reach, and positions beside a posture."""
     arm = bench.arm
     s = arm.system
     start = np.clip(s.mid + 0.3, s.lower, s.upper)
@@ -101,17 +130,23 @@ def stream(bench: Bench) -> Grid:
     far = near.copy()
     far[:, 0, 3] += FAR
     table = Grid(f"Servo loop: one cycle of {s.name} towards a pose", "us")
-    loops: dict[str, Any] = {"Kempe": KempeStream}
+    pose: dict[str, Any] = {"Kempe": KempeStream}
+    both: dict[str, Any] = {"Kempe": KempeTaskStream}
     if "mink" in bench.versions:
-        loops["mink"] = MinkStream
+        pose["mink"] = MinkStream
+        both["mink"] = MinkTaskStream
     timed = [
         Case(name, call, "loop.step()", {"loop": make(arm, start, targets)})
-        for call, targets in (("poses on a circle", near), ("poses out of reach", far))
+        for call, targets, loops in (
+            ("poses on a circle", near, pose),
+            ("poses out of reach", far, pose),
+            ("position and posture", near, both),
+        )
         for name, make in loops.items()
     ]
     table.rows += measure(timed, 1e6)
     table.remarks.append(
         f"cycles of {CYCLE} s, joints up to {SPEED:g} rad/s and within their limits; mink: daqp, "
-        "limits of position and speed"
+        "limits of position and speed, the posture with a cost of 0.01 in place of a lower priority"
     )
     return table
