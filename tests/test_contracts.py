@@ -567,6 +567,26 @@ def test_columns_and_frames_show_what_print_does(name):
         np.testing.assert_array_equal(frame.to_numpy(dtype=float), columns)
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_an_interactive_session_shows_one_screen_of_what_print_does(name):
+    result, _ = answered(name)
+    assert type(result).__repr__ is Result.__repr__
+    shown, printed = repr(result).splitlines(), str(result).splitlines()
+    assert sum(max(1, -(-len(line) // 100)) for line in shown) <= 25
+    assert shown == printed or shown[:-1] == printed[: len(shown) - 1]
+
+
+def test_a_long_answer_says_that_there_is_more():
+    chain = kempe.Mechanism("chain")
+    for k in range(40):
+        chain.revolute(f"j{k}", chain.ground if k == 0 else f"b{k - 1}", chain.body(f"b{k}"))
+    chain.frame("tip", "b39")
+    answer = chain.build().ik([0, 0, 0], "tip")
+    *shown, last = repr(answer).splitlines()
+    assert len(shown) == 24 and "print(answer) shows all of it" in last
+    assert str(answer).startswith("\n".join(shown)) and "j39" in str(answer)
+
+
 def test_a_data_frame_without_pandas_names_the_package(monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ImportError, match="pip install pandas"):

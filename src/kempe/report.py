@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import fields
-from textwrap import fill
+from textwrap import fill, shorten
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -339,6 +339,10 @@ class Result:
             [self._make_headline(), *(f"  {x}" for x in (*lines, *self._list_notes()))]
         )
 
+    def __repr__(self) -> str:
+        """Text as printed, at most one screen of it: what an interactive session shows."""
+        return _cut_to_screen(str(self))
+
     def text(self, degrees: bool = False, width: int = 0) -> str:
         """Return the text with tables in columns; with `degrees`, angles are in degrees.
 
@@ -448,14 +452,31 @@ def _convert_cell(x: Any, degrees: bool) -> Any:
     return x.convert_units(degrees).value if isinstance(x, Quantity) else x
 
 
-# ---- answers on one line
+SCREEN = 25
+"""Rows of a screen that an answer fills at most in an interactive session."""
+COLUMNS = 100
+"""Characters in a row of such a screen; longer lines take several rows."""
+
+
+def _cut_to_screen(text: str) -> str:
+    """Cut a text to the first rows of a screen, with a line about what is left out."""
+    lines = text.splitlines()
+    rows = np.cumsum([max(1, math.ceil(len(line) / COLUMNS)) for line in lines])
+    if not lines or rows[-1] <= SCREEN:
+        return text
+    kept = max(1, int(np.searchsorted(rows, SCREEN - 1, side="right")))
+    lines[0] = shorten(lines[0], SCREEN * COLUMNS // 2, placeholder=" ...")
+    return "\n".join([*lines[:kept], "... print(answer) shows all of it"])
+
+
+# ---- parts of answers on one line
 
 FEW = 16
 """Entries of an array, or of a tuple, that are shown."""
 
 
 def summarize_fields(self: Any) -> str:
-    """Summarize the fields of an answer on one line; large arrays by their shape."""
+    """Summarize the fields of a part of an answer on one line; large arrays by their shape."""
     shows = [f for f in fields(self) if f.repr]
     return f"{type(self).__name__}({', '.join(f'{f.name}={_summarize_value(getattr(self, f.name))}' for f in shows)})"
 
@@ -465,6 +486,8 @@ def _summarize_value(x: Any) -> str:
     given: Any = x
     if is_array(x):
         return f"array {x.shape}" if x.size > FEW else " ".join(repr(x).split())
+    if isinstance(x, Result):
+        return f"{type(x).__name__}(...)"
     if isinstance(x, dict):
         return f"{{{', '.join(f'{k!r}: {_summarize_value(v)}' for k, v in given.items())}}}"
     if isinstance(x, tuple) and len(given) > FEW:

@@ -198,16 +198,11 @@ def test_random_places_are_as_far_away_as_links_are_long(length):
     assert np.sqrt((found**2).mean(axis=0)) == pytest.approx([0.7, 0.7], rel=0.2)
 
 
-def test_a_report_names_the_joints_of_each_group_of_loops_and_shows_no_parts():
+def test_a_report_names_the_joints_of_each_group_of_loops():
     m = mobility(kempe.load("four_bar"))
     (group,) = m.clusters
     assert (sorted(group.joints), group.loops) == (["A", "B", "C", "D"], ("C",))
     assert str(m).startswith("four_bar")
-    assert not [
-        part
-        for part in ("rank=", "local=", "one_sided=", "wrenches=", "within=")
-        if part in repr(m)
-    ]
 
 
 @pytest.mark.parametrize(

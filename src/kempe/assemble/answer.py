@@ -10,7 +10,6 @@ import numpy as np
 from kempe.answers.answer import Answer
 from kempe.arguments import explain_method_errors
 from kempe.forward.fk import fk
-from kempe.report import summarize_fields
 from kempe.spatial import Array
 from kempe.words import format_fixed
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Assembly(Answer):
     """Answer of `assemble`: one configuration for each set of known values.
 
@@ -39,8 +38,6 @@ class Assembly(Answer):
         Whether the time limit ended the work.
     """
 
-    __repr__ = summarize_fields
-
     row = "answers of assemble"
     what = "configurations closed"
     also = ("iterations", "starts")
@@ -51,7 +48,7 @@ class Assembly(Answer):
     residual: Any = field()
     iterations: Any
     starts: Any
-    assembler: Any = field(repr=False)
+    assembler: Any
     """The `Assembler` that answered: the bound form for the names that are known."""
     late: bool = False
     """Whether the time limit ended the search for the nearest mechanism that closes exactly.
@@ -59,7 +56,7 @@ class Assembly(Answer):
     Nothing is then known to be closed, and nothing is a success. Sets of known values for which it
     ended the search for a closed configuration have the `code` `OUT_OF_TIME`, too.
     """
-    limit: float | None = field(default=None, repr=False)
+    limit: float | None = None
     """The time limit, in seconds, where it may have ended the work."""
 
     @property

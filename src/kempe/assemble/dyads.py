@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -25,7 +25,7 @@ from kempe.forward.fk import fk
 from kempe.model.configurations import read_q, read_start, refuse_large_numbers
 from kempe.model.model import keep_answers, store_answer
 from kempe.numerics.pool import sum_over_chunks
-from kempe.report import Report, summarize_fields
+from kempe.report import Report
 from kempe.spatial import Array
 from kempe.status import Status, to_status
 from kempe.words import format_count
@@ -47,7 +47,7 @@ MOST_SIGNS = 16
 """Branch signs up to which all combinations are tried: 65536 configurations."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Incomplete(Report):
     """Report that there is no closed form.
 
@@ -92,7 +92,7 @@ class Incomplete(Report):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DyadAnswer(Answer):
     """Configurations `q` (..., nq) on a branch, with a mask of the closed configurations.
 
@@ -103,8 +103,6 @@ class DyadAnswer(Answer):
     positions.
     """
 
-    __repr__ = summarize_fields
-
     what = "configurations closed"
     also = ("gap", "undetermined")
 
@@ -112,7 +110,7 @@ class DyadAnswer(Answer):
     success: Any
     gap: Any
     undetermined: Any
-    closing: tuple[Plan, Array] = field(repr=False)
+    closing: tuple[Plan, Array]
     """The plan, and the values (n, known) that it was to close."""
 
     @property
@@ -157,7 +155,7 @@ class DyadAnswer(Answer):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Plan(Report):
     """Closed form of a mechanism for known coordinates: dyads that are solved one after the other.
 
@@ -184,7 +182,7 @@ class Plan(Report):
     known: tuple[str, ...]
     dyads: tuple[Dyad, ...]
     tolerance: float
-    program: tuple[np.ndarray, np.ndarray] = field(repr=False)
+    program: tuple[np.ndarray, np.ndarray]
 
     @property
     def signs(self) -> int:

@@ -64,7 +64,7 @@ from kempe.numerics.clock import (
     limit_time,
 )
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import ROWS, Table, summarize_fields
+from kempe.report import ROWS, Table
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import choose_verb, format_count
@@ -697,7 +697,7 @@ USUAL = Usual("assembly_modes", starts=STARTS, rng=0, time_limit=TIME_LIMIT, pro
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Modes(Configurations):
     """Answer of `assembly_modes`: all configurations that close the mechanism, each once.
 
@@ -735,8 +735,6 @@ class Modes(Configurations):
     (expected).
     """
 
-    __repr__ = summarize_fields
-
     also = (
         "complete",
         "branches",
@@ -758,8 +756,8 @@ class Modes(Configurations):
     freedoms: np.ndarray
     inside: np.ndarray
     outside: int
-    system: Model = field(repr=False)
-    known: dict[str, Any] = field(repr=False)
+    system: Model
+    known: dict[str, Any]
     coverage: float | None = None
     expected: float | None = None
     interrupted: bool = False

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -131,7 +131,7 @@ class Change(InWords):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Idealised(Report):
     """Nearest mechanism that closes exactly, with its differences from the `given` one.
 
@@ -149,8 +149,8 @@ class Idealised(Report):
         The gaps by closing joint or constraint.
     """
 
-    given: Model = field(repr=False)
-    system: Model = field(repr=False)
+    given: Model
+    system: Model
     requested: float
     tolerance: float
     residual: float

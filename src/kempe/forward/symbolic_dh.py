@@ -38,7 +38,7 @@ NEARLY = 1e-3
 far away that their digits say less. Of those nearer than the second the normal is small."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DHTable(Report):
     """The Denavit-Hartenberg table of a chain: one `DHRow` for each joint.
 

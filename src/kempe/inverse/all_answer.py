@@ -651,11 +651,6 @@ class Solutions(ConfigurationList, Answer):
         out._left_out = left_out
         return out
 
-    def __repr__(self) -> str:
-        what = format_count(len(self) if self.single else int(self._used_rows.sum()), "solution")
-        of = "" if self.single else f" of {format_count(len(self._rows), 'target')}"
-        return f"Solutions({self.system.name!r}, {self.problem.frame!r}, {what}{of})"
-
     row = "answers of ik_all"
     what = "targets reached"
     also = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -16,7 +16,7 @@ from kempe.arrays import unwrap_scalar
 from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.late import import_late_member
-from kempe.report import Report, summarize_fields
+from kempe.report import Report
 from kempe.spatial import Array
 from kempe.status import PROOFS, Status
 from kempe.words import cut_lines, format_count
@@ -41,7 +41,7 @@ class SolutionRow(Row):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution(Answer):
     """Answer of `ik` for targets of a frame: one configuration for each target.
 
@@ -63,8 +63,6 @@ class Solution(Answer):
         Numbers of steps and of starts.
     """
 
-    __repr__ = summarize_fields
-
     row = "answers of ik"
     what = "targets reached"
     also = ("position_error", "orientation_error", "iterations", "starts")
@@ -76,7 +74,7 @@ class Solution(Answer):
     orientation_error: Any
     iterations: Any
     starts: Any
-    problem: Any = field(repr=False)
+    problem: Any
     """The problem that was solved, a `FrameProblem`; of several tasks their `Demands`."""
     history: ClassVar[IkHistory | None] = None
     """The iterates, an `IkHistory`, where `ik` was given ``history=True``."""
@@ -237,7 +235,7 @@ class Solution(Answer):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Reached(Solution):
     """Answer of `System.ik` for tasks.
 
@@ -253,8 +251,6 @@ class Reached(Solution):
         Mask (...) of the searches that the time limit ended, including those that minimise soft
         tasks and preferences.
     """
-
-    __repr__ = summarize_fields
 
     row = "answers of ik, tasks"
     what = "problems solved"
@@ -289,7 +285,7 @@ MOST_LINES = 32
 """Lines of the text."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class IkHistory(Report):
     """Errors of a search after each of its steps, one row each.
 

@@ -345,7 +345,7 @@ WIDTH = 110
 """Columns of the text."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recognised(Report):
     """Structure of the chain of a frame, and the method that solves its inverse kinematics.
 
@@ -378,7 +378,7 @@ class Recognised(Report):
     held: tuple[str, ...]
     note: str = ""
     """Why the task is not a pose, where none was given."""
-    of: Model | None = field(default=None, repr=False, compare=False)
+    of: Model | None = field(default=None, compare=False)
 
     @property
     def status(self) -> str:

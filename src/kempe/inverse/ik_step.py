@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +34,7 @@ from kempe.model.model import bind_call, keep_answers, store_answer
 from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.least_squares import NEAR
 from kempe.poses import correct_rotations, read_pose_array
-from kempe.report import by_code, summarize_fields
+from kempe.report import by_code
 from kempe.spatial import Array, log_so3
 from kempe.status import Status
 
@@ -64,7 +64,7 @@ BESIDE = 1e-12
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class IkStep(Answer):
     """Answer of `ik_step`: velocities, and the configuration after the step.
 
@@ -88,8 +88,6 @@ class IkStep(Answer):
         Names of the velocity constraints that prevent the rest of the motion.
     """
 
-    __repr__ = summarize_fields
-
     also = ("velocity", "twist", "fraction", "saturated", "blocked_by")
 
     q: Array
@@ -97,7 +95,7 @@ class IkStep(Answer):
     twist: Array
     fraction: float
     saturated: tuple[str, ...]
-    system: Model = field(repr=False)
+    system: Model
     default_speed: tuple[str, ...] = ()
     blocked_by: tuple[str, ...] = ()
 

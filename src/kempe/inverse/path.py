@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -49,7 +49,7 @@ from kempe.numerics.clock import BROKEN_OFF, LONG, TimeLimit, describe_early_end
 from kempe.numerics.newton import run_gauss_newton, solve_least_squares
 from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import check_poses, correct_rotations, read_pose_array
-from kempe.report import Table, summarize_fields
+from kempe.report import Table
 from kempe.spatial import Array
 from kempe.status import Status
 from kempe.words import format_count
@@ -640,7 +640,7 @@ TRIED = 16
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class IkPath(Configurations):
     """Answer of `ik_path`: configurations that follow a sequence of n targets.
 
@@ -659,8 +659,6 @@ class IkPath(Configurations):
     """
 
     is_motion = True
-    __repr__ = summarize_fields
-
     also = ("jumps", "interrupted", "late")
 
     system: Model
@@ -668,7 +666,7 @@ class IkPath(Configurations):
     success: np.ndarray
     jumps: tuple[int, ...]
     reason: str
-    problem: Demands = field(repr=False)
+    problem: Demands
     """The tasks, with a goal for each of the targets."""
     interrupted: bool = False
     late: bool = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -33,7 +33,6 @@ from kempe.kernels.base.search_layout import SOLVED
 from kempe.model.configurations import read_q
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, limit_preparation_time
 from kempe.numerics.curves import NONE, Node, walk_curve
-from kempe.report import summarize_fields
 from kempe.spatial import Array, ArrayLike
 from kempe.words import format_count, join_words
 
@@ -61,7 +60,7 @@ LEAST_PART = 0.05
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SelfMotion(Configurations):
     """Family of configurations that keep tasks, in the order of the motion.
 
@@ -81,8 +80,6 @@ class SelfMotion(Configurations):
     """
 
     is_motion = True
-    __repr__ = summarize_fields
-
     also = ("freedoms", "start", "closed", "ends", "interrupted", "late")
 
     system: Model
@@ -91,7 +88,7 @@ class SelfMotion(Configurations):
     start: int
     closed: bool
     ends: tuple[str, str]
-    problem: Demands = field(repr=False)
+    problem: Demands
     """The tasks that hold all along."""
     interrupted: bool = False
     late: bool = False

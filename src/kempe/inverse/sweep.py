@@ -50,7 +50,7 @@ from kempe.kernels.forward.table_layout import SLIDE
 from kempe.numerics.clock import SHARE, SHORT, TimeLimit, find_time_limit, limit_time
 from kempe.numerics.intervals import Intervals, format_intervals, unite_intervals
 from kempe.poses import check_poses, read_pose_array
-from kempe.report import Table, by_code, summarize_fields
+from kempe.report import Table, by_code
 from kempe.spatial import Array, log_so3
 from kempe.status import Status, to_status
 from kempe.words import format_count
@@ -121,7 +121,7 @@ class Best(NamedTuple):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Slice(ConfigurationList, Answer):
     """All solutions at one value of the parameter of a `sweep`, or at each of several values.
 
@@ -138,12 +138,10 @@ class Slice(ConfigurationList, Answer):
         Number of the branch of each solution.
     """
 
-    __repr__ = summarize_fields
-
     what = "values with a solution inside the limits"
     also = ("value", "inside", "branch")
 
-    sweep: Sweep = field(repr=False)
+    sweep: Sweep
     value: Any
     q: Array
     mask: np.ndarray
@@ -454,12 +452,6 @@ class Sweep(Answer):
         if any(self.spans):
             return f"outside the limits for every {self.parameter} ({way})"
         return f"no solution for any {self.parameter}: {self.curves.reason}"
-
-    def __repr__(self) -> str:
-        return (
-            f"Sweep({self.system.name!r}, {self.frame!r}, {self.parameter!r}, "
-            f"feasible=[{format_intervals(self.feasible)}])"
-        )
 
     def _make_headline(self) -> str:
         return f"{self.frame!r} of {self.system.name}, {self.task}: {self.status}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from kempe.arguments import explain_method_errors
@@ -362,7 +362,7 @@ class ClusterMobility:
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mobility(Report):
     """Degrees of freedom of a mechanism at a configuration; printed, with the reasoning.
 
@@ -389,7 +389,7 @@ class Mobility(Report):
     """
 
     _has_angles = True
-    system: Model = field(repr=False)
+    system: Model
     dim: int
     q: Array
     closed: bool
@@ -400,9 +400,9 @@ class Mobility(Report):
     loops: tuple[LoopCount, ...]
     clusters: tuple[ClusterMobility, ...]
     outside: int
-    rank: Rank | None = field(repr=False)
+    rank: Rank | None
     generic_rank_dof: int | None
-    local: LocalDimension | None = field(repr=False)
+    local: LocalDimension | None
     dof: int | None
     redundancy: Redundancy | None
     idle_freedoms: tuple[IdleFreedom, ...]
@@ -415,7 +415,7 @@ class Mobility(Report):
     regular: bool = False
     """Whether the rank is full beyond rounding, so that the implicit function theorem gives
     `dof`."""
-    one_sided: OneSidedReport | None = field(default=None, repr=False)
+    one_sided: OneSidedReport | None = None
     """What one-sided constraints are closed and still allow; None where there are none but limits
     that are not reached.
 
@@ -424,10 +424,10 @@ class Mobility(Report):
     """
     called: tuple[str, ...] = ()
     """Constraints that are functions without series, because of which `dof` is not known."""
-    wrenches: Wrenches | None = field(default=None, repr=False)
+    wrenches: Wrenches | None = None
     """What joints and constraints transmit at `q`, their self-stresses among it; None where it
     cannot be closed."""
-    within: Nearest | None = field(default=None, repr=False)
+    within: Nearest | None = None
     """The nearest mechanism that closes exactly, whose freedoms these are; None: those of the given
     one."""
 

@@ -6,7 +6,7 @@ The verb `classify`, its answer, and the wording of the answer. It also tells ho
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -266,7 +266,7 @@ class ConstraintKind(InWords):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Classification(Report):
     """Kinds of the constraints of a system, alone and together; printed, with the reasoning.
 
@@ -294,7 +294,7 @@ class Classification(Report):
     """
 
     _has_angles = True
-    system: Model = field(repr=False)
+    system: Model
     q: Array
     kind: str
     position_dof: int
@@ -306,7 +306,7 @@ class Classification(Report):
     constraints: Mapping[str, ConstraintKind]
     doubtful: bool
     why: str = ""
-    one_sided: OneSidedReport | None = field(default=None, repr=False)
+    one_sided: OneSidedReport | None = None
     """Which one-sided constraints are closed at `q` and what they still allow; None where there are
     none."""
     moved: float = 0.0
@@ -316,7 +316,7 @@ class Classification(Report):
     looked at."""
     reachable_around: int | None = None
     """The dimension that motions reach from configurations drawn at random."""
-    within: Nearest | None = field(default=None, repr=False)
+    within: Nearest | None = None
     """The nearest mechanism that closes exactly, which was solved in place of the given one; None:
     it was itself."""
 

@@ -129,7 +129,7 @@ less is usual."""
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Chart(Report):
     """Independent coordinates of a system near a closed configuration.
 

@@ -281,7 +281,7 @@ class Side(InWords):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OneSidedReport(Report):
     """The state of one-sided constraints and limits of a system at `q` (nq,); ``print`` it.
 
@@ -289,11 +289,11 @@ class OneSidedReport(Report):
     closed sides leave, to first order. Sides that are open take nothing away.
     """
 
-    system: Model = field(repr=False)
+    system: Model
     q: Array
     sides: tuple[Side, ...]
-    cone: Cone = field(repr=False)
-    scale: Array = field(repr=False)
+    cone: Cone
+    scale: Array
     """Radians or metres (nv,) in one unit of each velocity of the cone."""
 
     @property

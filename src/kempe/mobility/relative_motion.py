@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +29,7 @@ ZERO = 1e-9
 """Velocities below this part of the largest, and singular values likewise, are zero."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class RelativeMotion(Report):
     """The motions of `body` relative to `to` that all constraints allow, to first order."""
 
@@ -49,9 +49,9 @@ class RelativeMotion(Report):
     """The origin (3,) of `body` in the frame `to`."""
     around: int
     """The largest dimension found at closed configurations some way from here, at least `dof`."""
-    size: float = field(default=1.0, repr=False)
+    size: float = 1.0
     """The typical length [m]: pitches far below it are rounding."""
-    within: Nearest | None = field(default=None, repr=False)
+    within: Nearest | None = None
     """The nearest mechanism that closes exactly, whose motions these are; None: the given one's."""
 
     @property

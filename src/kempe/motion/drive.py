@@ -861,7 +861,7 @@ class Toggle(InWords):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Drive(Motion):
     """Motion of a mechanism with prescribed inputs.
 
@@ -895,17 +895,11 @@ class Drive(Motion):
     singular_points: tuple[Event, ...]
     success: bool
     interrupted: bool
-    reason: str = field(default="", repr=False)
+    reason: str = ""
     late: bool = False
-    _clock: Array | None = field(default=None, repr=False)
+    _clock: Array | None = None
     """Time (n,) at which each configuration holds, where equations depend on time: of those `held`
     an earlier one."""
-
-    def __repr__(self) -> str:
-        return (
-            f"Drive({self.system.name!r}, {format_count(len(self.q), 'sample')}, "
-            f"held={int(self.held.sum())})"
-        )
 
     def table(self, frames: Iterable[FrameLike] = ()) -> tuple[list[str], Array]:
         """Return names and columns (n, k) for a file.

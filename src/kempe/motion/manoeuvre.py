@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -84,7 +84,7 @@ class Piece(NamedTuple):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Manoeuvre(Motion):
     """Motion from one configuration to another that obeys all velocity constraints.
 
@@ -111,7 +111,7 @@ class Manoeuvre(Motion):
     success: bool
     reason: str = ""
     frames: tuple[str, ...] = ()
-    _exact: ExactManoeuvre | None = field(default=None, repr=False)
+    _exact: ExactManoeuvre | None = None
     late: bool = False
 
     @property
@@ -129,13 +129,6 @@ class Manoeuvre(Motion):
         """Number of changes between forwards and reverse."""
         signs = [p.forward > 0.0 for p in self.pieces if p.forward]
         return sum(a != b for a, b in itertools.pairwise(signs))
-
-    def __repr__(self) -> str:
-        what = (
-            f"{format_count(len(self.pieces), 'piece')}, length={self.length:.6g}, "
-            f"cusps={self.cusps}"
-        )
-        return f"Manoeuvre({self.system.name!r}, {what})"
 
     def at(self, t: ArrayLike) -> Array:
         """Return the exact configurations (..., nq) at times `t` (...) in seconds.

@@ -190,7 +190,7 @@ class Track:
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Path(Motion):
     """Curve of closed configurations of a mechanism with one degree of freedom.
 
@@ -239,7 +239,7 @@ class Path(Motion):
     frames: tuple[str, ...]
     success: bool
     interrupted: bool
-    track: Track = field(repr=False)
+    track: Track
     others: tuple[Path, ...] = ()
     late: bool = False
     remark: str = ""
@@ -274,12 +274,6 @@ class Path(Motion):
             for i, name in enumerate(names)
             if e.place[i] >= 0 and abs(change[e.place[i]]) > 1.0
         }
-
-    def __repr__(self) -> str:
-        what = (
-            f"{format_count(len(self.q), 'point')}, length={self.length:.6g}, closed={self.closed}"
-        )
-        return f"Path({self.system.name!r}, {what})"
 
     def at(self, s: ArrayLike) -> Array:
         """Return the exactly closed configurations at arc lengths.

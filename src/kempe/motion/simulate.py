@@ -431,7 +431,7 @@ class Bounce(InWords):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Motion):
     """Motion in time.
 
@@ -462,13 +462,7 @@ class Simulation(Motion):
     interrupted: bool = False
     late: bool = False
     frames: tuple[str, ...] = ()
-    _at: Callable[[Array], tuple[Array, Array]] | None = field(default=None, repr=False)
-
-    def __repr__(self) -> str:
-        return (
-            f"Simulation({self.system.name!r}, {format_count(len(self.t), 'sample')}, "
-            f"{format_count(len(self.events), 'event')})"
-        )
+    _at: Callable[[Array], tuple[Array, Array]] | None = None
 
     def at(self, t: ArrayLike) -> Array:
         """Return configurations (..., nq) at times `t` (...) in seconds.

@@ -32,7 +32,7 @@ from kempe.model.configurations import read_q
 from kempe.motion.path import Event, Path
 from kempe.motion.start import find_angle_or_slide
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Nearest, Report, Table, summarize_fields
+from kempe.report import Nearest, Report, Table
 from kempe.spatial import Array
 from kempe.status import Status, to_status
 from kempe.words import Quantity, format_count
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class LoopJacobian(Report):
     """Jacobian of output velocities with respect to input velocities, through closed loops.
 
@@ -63,8 +63,6 @@ class LoopJacobian(Report):
         `Status.SOLVED`, `DEAD_POINT` or `UNDETERMINED`.
     """
 
-    __repr__ = summarize_fields
-
     matrix: Array
     inputs: tuple[str, ...]
     rows: tuple[str, ...]
@@ -72,7 +70,7 @@ class LoopJacobian(Report):
     nullity: Any
     margin: Any
     code: Any = field()
-    within: Nearest | None = field(default=None, repr=False)
+    within: Nearest | None = None
     """The nearest mechanism that closes exactly, whose velocities these are; None: the given
     one's."""
 

@@ -42,7 +42,7 @@ from kempe.numerics.clock import (
     limit_time,
 )
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Report, summarize_fields
+from kempe.report import Report
 from kempe.spaces.four_joints import FourJoints, find_four_joints
 from kempe.spaces.manifold import Manifold
 from kempe.spaces.polygons import find_polygon
@@ -225,7 +225,7 @@ def _find_nearest(path: Path, q: Array, useful: np.ndarray) -> tuple[Array, Arra
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Components(Report):
     """Connected components of a configuration space.
 
@@ -243,17 +243,16 @@ class Components(Report):
         Number of freedoms, without idle freedoms.
     """
 
-    __repr__ = summarize_fields
     _has_angles = True
 
-    system: Model = field(repr=False)
+    system: Model
     count: int
     complete: bool
     reason: str
     dimension: int | None
     idle: int = 0
     parts: tuple[Component, ...] = ()
-    singular: Array = field(default_factory=lambda: np.empty((0, 0)), repr=False)
+    singular: Array = field(default_factory=lambda: np.empty((0, 0)))
     late: bool = False
     interrupted: bool = False
 

@@ -7,7 +7,7 @@ numbers and constraints each takes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -54,7 +54,7 @@ class ProductSpace(InWords):
         return f"{self.shape}, dimension {self.dimension}"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class ConfigurationSpace(Report):
     """Set of all configurations that a system can have.
 
@@ -271,7 +271,7 @@ class Parametrization(NamedTuple):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Parametrizations(Report):
     """Choices of coordinates for the configuration space of a system, as a table to ``print``.
 
@@ -280,7 +280,7 @@ class Parametrizations(Report):
     dimension, and are not counted.
     """
 
-    system: Model = field(repr=False)
+    system: Model
     rows: tuple[Parametrization, ...]
     n_b: int
     """Number of bodies, the ground left out."""

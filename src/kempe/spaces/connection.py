@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +20,6 @@ from kempe.mobility.mobility import mobility
 from kempe.model.configurations import has_loops, read_finite_q, sample_configurations
 from kempe.motion.trace import trace
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
-from kempe.report import summarize_fields
 from kempe.spaces.components import SAME, Component
 from kempe.spaces.four_joints import find_four_joints
 from kempe.spaces.manifold import CLOSED, Manifold
@@ -231,7 +230,7 @@ USUAL = Usual("path", step=STEP, rng=0, iterations=4000, time_limit=TIME_LIMIT)
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Connection(Configurations):
     """Continuous motion between two configurations, or the reason why there is none.
 
@@ -248,15 +247,13 @@ class Connection(Configurations):
     """
 
     is_motion = True
-    __repr__ = summarize_fields
-
     also = ("length", "step", "interrupted", "late")
 
     q: Array
     outcome: Status
     reason: str
     step: float
-    system: Model = field(repr=False)
+    system: Model
     interrupted: bool = False
     late: bool = False
 

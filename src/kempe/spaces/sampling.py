@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +19,6 @@ from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.mobility.mobility import mobility
 from kempe.model.configurations import find_free_angles, has_loops, sample_configurations
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, find_time_limit, limit_time
-from kempe.report import summarize_fields
 from kempe.spaces.components import find_components
 from kempe.spaces.manifold import Frames, Manifold
 from kempe.spatial import Array
@@ -140,7 +139,7 @@ USUAL = Usual("sample", time_limit=TIME_LIMIT, progress=None)
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Sample(Configurations):
     """Random configurations within limits and constraints.
 
@@ -157,8 +156,6 @@ class Sample(Configurations):
         Share of accepted proposals, or of accepted steps of the walk.
     """
 
-    __repr__ = summarize_fields
-
     also = ("measure", "exact", "taken", "interrupted", "late")
 
     q: Array
@@ -167,7 +164,7 @@ class Sample(Configurations):
     reason: str
     taken: float
     wanted: int
-    system: Model = field(repr=False)
+    system: Model
     interrupted: bool = False
     late: bool = False
 

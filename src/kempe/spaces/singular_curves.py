@@ -86,15 +86,13 @@ class SingularCurve(InWords):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SingularCurves(Report):
     """The `curves` of singular configurations that were found. Others may exist.
 
     `held` are the coordinates, and "orientation", that were held. What was `broken` off, by the
     time limit or an interrupt, has the curves that were done.
     """
-
-    __repr__ = summarize_fields
 
     system: Model
     frame: str | None

@@ -118,7 +118,7 @@ class SingularSet(InWords):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NearestSingular(Report):
     """Singular configuration `q` (nq,), nearest of those found, and its `distance`.
 
@@ -126,10 +126,9 @@ class NearestSingular(Report):
     and gained there, are as in `SingularSet`; `distances` are those of all sets, by their words.
     """
 
-    __repr__ = summarize_fields
     _has_angles = True
 
-    system: Model = field(repr=False)
+    system: Model
     q: Array
     distance: float
     kinds: tuple[str, ...]

@@ -6,7 +6,7 @@ The answer also finds the nearest one to a configuration.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -50,7 +50,7 @@ from kempe.numerics.clock import (
     describe_early_end,
     limit_preparation_time,
 )
-from kempe.report import Report, summarize_fields
+from kempe.report import Report
 from kempe.spaces.rank_loss import RankLoss
 from kempe.spaces.singular_curves import USUAL as CURVES_USUAL
 from kempe.spaces.singular_curves import SingularCurves, find_singular_curves, make_held_equations
@@ -129,7 +129,7 @@ FULL_TURN = 2.0 * np.pi
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Singularities(Report, Tabular):
     """Singular configurations of a frame, in sets of the same type.
 
@@ -144,7 +144,6 @@ class Singularities(Report, Tabular):
         finished starts.
     """
 
-    __repr__ = summarize_fields
     _has_angles = True
 
     system: Model
@@ -153,8 +152,8 @@ class Singularities(Report, Tabular):
     sets: tuple[SingularSet, ...]
     starts: int
     limits: bool
-    analysis: RankAnalysis = field(repr=False)
-    problems: dict[str, RankLoss] = field(repr=False)
+    analysis: RankAnalysis
+    problems: dict[str, RankLoss]
     broken: Status | None = None
 
     @property

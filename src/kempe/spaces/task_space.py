@@ -36,7 +36,7 @@ from kempe.model.configurations import (
 )
 from kempe.numerics.clock import SHORT, find_time_limit, limit_time
 from kempe.numerics.rank import Level, Spectrum
-from kempe.report import Report, Table, summarize_fields
+from kempe.report import Report, Table
 from kempe.spaces.manifold import Manifold
 from kempe.spatial import Array
 from kempe.status import Status
@@ -96,7 +96,7 @@ SOME = 8
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TaskSpace(Report):
     """Task space of `m` constraints over a configuration space of dimension `n`.
 
@@ -117,10 +117,9 @@ class TaskSpace(Report):
         Whether the time limit ended the work.
     """
 
-    __repr__ = summarize_fields
     _has_angles = True
 
-    system: Model = field(repr=False)
+    system: Model
     task: str
     m: int
     n: int

@@ -33,7 +33,7 @@ count as closed."""
 # ---- what a system is
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SystemFacts(Report):
     """Facts about a `system`: connectivity, degrees of freedom, bodies, joints, loops, limits."""
 
@@ -307,7 +307,7 @@ COLUMNS: Mapping[str, str] = {name: "m" for name in "xyz"} | {
 """Numbers of a pose, with their units; angles turn about fixed axes."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Poses(Report):
     """Poses of a `frame`, or of all bodies where `frame` is None.
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -311,7 +311,7 @@ LOOKED = 64
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Workspace(Report):
     """Places that a frame reaches, as counts of random samples in the cells of a box.
 
@@ -334,7 +334,7 @@ class Workspace(Report):
     _pictured = True
 
     system: Model
-    sample_counts: SampleCounts = field(repr=False)
+    sample_counts: SampleCounts
     requested: int
     interrupted: bool = False
     late: bool = False

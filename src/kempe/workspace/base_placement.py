@@ -38,7 +38,7 @@ AXES = ("x", "y", "z", "yaw")
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class BasePlacement(Study):
     """Map of base placements with the reached poses of a list.
 

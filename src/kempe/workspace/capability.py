@@ -36,7 +36,7 @@ USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None,
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CapabilityMap(Study):
     """Map of how well a frame reaches the cells of a box, by inverse kinematics at their centres.
 

@@ -38,7 +38,7 @@ from kempe.kernels.compiled import VARIANT
 from kempe.model.configurations import has_loops, list_units, make_q, read_q, read_start
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, describe_early_end
 from kempe.numerics.pool import choose_thread_count
-from kempe.report import Report, Table, summarize_fields
+from kempe.report import Report, Table
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
 from kempe.version import __version__
@@ -572,7 +572,7 @@ MANY = 2**16
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FileMap(Report):
     """Answers of a verb to the rows of a file, and where they are stored.
 
@@ -587,8 +587,6 @@ class FileMap(Report):
     late, interrupted
         Whether the time limit or Ctrl-C ended the work. The same call continues it.
     """
-
-    __repr__ = summarize_fields
 
     system: Model
     verb: str

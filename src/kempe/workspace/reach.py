@@ -6,7 +6,7 @@ The other studies of reach ask the same of poses in slices: maps of capability a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from kempe.model.configurations import has_loops, list_units, name_values
 from kempe.numerics.clock import BROKEN_OFF, TimeLimit, describe_early_end
 from kempe.numerics.clock import LONG as CLOCK_LONG
 from kempe.poses import check_poses, correct_rotations
-from kempe.report import Report, summarize_fields
+from kempe.report import Report
 from kempe.spatial import Array
 from kempe.status import Status, name_outcomes
 from kempe.words import format_count
@@ -208,8 +208,6 @@ def study_places(
 class Study(Report):
     """A report on the poses that a frame of a system reaches. It may be `broken` off."""
 
-    __repr__ = summarize_fields
-
     system: Model
     frame: str
     broken: Status | None
@@ -234,7 +232,7 @@ class Study(Report):
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ReachStudy(Study, Tabular):
     """Study of the poses of a list: which a frame reaches, how well, and what blocks the others.
 
@@ -267,9 +265,9 @@ class ReachStudy(Study, Tabular):
     margin: Array
     q: Array
     codes: np.ndarray
-    targets: Array = field(repr=False)
-    task: Any = field(repr=False)
-    budget: Budget = field(repr=False)
+    targets: Array
+    task: Any
+    budget: Budget
     broken: Status | None = None
 
     @property

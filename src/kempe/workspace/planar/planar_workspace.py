@@ -214,7 +214,7 @@ class SolutionRegion:
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class PlanarWorkspace(Report):
     """Exact set of points that the origin of a frame reaches in the plane, within the limits.
 
@@ -233,11 +233,9 @@ class PlanarWorkspace(Report):
 
     _pictured = True
 
-    __repr__ = summarize_fields
-
     system: Model
     frame: str
-    region: PlanarRegion | PlatformRegion = field(repr=False)
+    region: PlanarRegion | PlatformRegion
     kind: str = REACHABLE
     code: Any = Status.SOLVED
 
