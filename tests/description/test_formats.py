@@ -114,6 +114,7 @@ MODELS = [
     (name, model, FITS[name](system.mechanism))
     for name in WRITTEN
     for model, system in shipped().items()
+    if (name, model) != ("sdf", "joint_free")  # is written without its joint: see test_sdf_writer
 ]
 
 

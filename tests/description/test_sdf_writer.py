@@ -21,10 +21,10 @@ from kempe.errors import DescriptionError
 EXACT: dict[str, Any] = {"rtol": 0, "atol": 1e-12}
 
 
-def comes_back(m: Mechanism) -> Mechanism:
+def comes_back(m: Mechanism, base: str | None = None) -> Mechanism:
     """The mechanism that the written text gives, whose poses are compared at random coordinates."""
     system = m.build()
-    again = read_sdf(write_sdf(m))
+    again = read_sdf(write_sdf(m), base=base)
     other = again.build()
     for q in system.random(0, 4):
         by_name = other.q(system.q_dict(q))
@@ -118,6 +118,30 @@ def test_loops_that_zero_closes():
     assert comes_back(m).bodies["x"]
 
 
+@pytest.mark.parametrize("ground", ["world", "floor"])
+def test_what_moves_freely_on_the_ground_comes_back(ground: str):
+    m = Mechanism("robot", ground=ground)
+    at = {"at": (0.1, 0.2, 0.3), "rpy": (0.4, -0.5, 0.6)}
+    m.free("base", ground, m.body("base"), **at)
+    m.revolute("arm", "base", m.body("hand"), **at, child_at=(0, 0.1, 0))
+    m.frame("tip", "hand", at=(0, 0, 0.1))
+    again = comes_back(m, base="free")
+    assert again.joints["base"].child == "base" and not again.notes
+    assert again.build().nq == m.build().nq
+    assert "nothing ties 'base' to the world" in read_sdf(write_sdf(m)).notes[0]
+
+
+def test_free_joints_of_what_other_joints_hold_are_left_out():
+    m = Mechanism("m", ground="world")
+    m.free("loose", "world", m.body("a"), at=(5, 5, 5))
+    m.revolute("r", "world", m.body("b"), at=(1, 0, 0))
+    m.revolute("s", "b", "a", at=(1, 0, 0), axis=(0, 1, 0))
+    again = read_sdf(write_sdf(m), base="free")
+    assert list(again.joints) == ["r", "s"]
+    assert again.build().fk([0.0, 0.0], "a")[:3, 3] == pytest.approx([2, 0, 0])
+    assert m.build().mobility().dof == again.build().mobility().dof == 2
+
+
 def test_names_of_nested_models_come_back():
     m = Mechanism("two arms")
     turned: dict[str, Any] = {
@@ -171,13 +195,20 @@ def test_files_of_gazebo_come_back(tmp_path: Path):
 
 def test_all_that_cannot_be_said_is_listed(tmp_path: Path):
     m = oblique()
-    m.free("fly", "base", m.body("bird"))
+    m.free("fly", "a", m.body("bird"))
+    m.free("loose", "base", m.body("kite"), angles=True)
     m.cylindrical("sleeve", "base", m.body("__x__"))
     m.distance("rod", "a", "b", 1.0)
     with pytest.raises(DescriptionError) as caught:
         m.save(tmp_path / "m.sdf")
     subjects = [p.subject for p in caught.value.problems]
-    assert sorted(subjects) == ["body '__x__'", "constraint 'rod'", "joint 'fly'", "joint 'sleeve'"]
+    assert sorted(subjects) == [
+        "body '__x__'",
+        "constraint 'rod'",
+        "joint 'fly'",
+        "joint 'loose'",
+        "joint 'sleeve'",
+    ]
     assert not (tmp_path / "m.sdf").exists()
 
 

@@ -133,7 +133,7 @@ SDF = Format(
         "bodies that no joint carries": "join them to the ground",
         "joints of other types": (
             "SDF has revolute, prismatic, helical, universal and fixed joints, spherical ones by "
-            "quaternion, and Drake planar ones"
+            "quaternion, free ones on the ground, and Drake planar ones"
         ),
         "limits of joints with several coordinates": "remove them, except those of universal joints",
         "locks of a part of a joint": "lock all of them, or none",
@@ -156,6 +156,8 @@ SDF = Format(
         "the plane (bodies stay in it)",
         "locks (the joints become fixed)",
         "the ground (it becomes a link that is fixed to the world)",
+        "free joints on the ground (what nothing ties to the world moves freely; base='free' reads it "
+        "so)",
         "postures",
         "notes",
         "which joints are actuated",

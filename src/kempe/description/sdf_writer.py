@@ -41,7 +41,8 @@ def write_sdf(mechanism: Mechanism) -> str:
 
     The ground becomes a link that is fixed to the world, unless it is called 'world'. Parts called
     'arm::hand' are written in a nested model 'arm'. A joint that closes a loop is written where its
-    two frames coincide while all coordinates are zero.
+    two frames coincide while all coordinates are zero. A free joint on the ground is left out, since
+    what nothing ties to the world moves freely in SDF.
     Parameters are evaluated, locked joints become fixed ones. Errors: `DescriptionError` listing
     all that SDF cannot say, by `SDF.cannot` of `kempe.description.formats`.
     """
@@ -56,9 +57,10 @@ class _SdfWriter(UrdfWriter):
     def write_text(self) -> str:
         """Return the text of the file."""
         m = self.m
-        self.check_names()
         self.check_constraints()
         self.resolve_couplings()
+        self.floating = {j.name for j in m.joints.values() if self.is_floating_joint(j)}
+        self.check_names()
         name = m.ground.name
         needed = name != GROUND or bool(m.ground.shapes or m.ground.mass is not None)
         needed |= any(f.body == name for f in m.frames.values())
@@ -66,6 +68,7 @@ class _SdfWriter(UrdfWriter):
         self.ground = (reserve_name("world_link", self.links) if name == GROUND else name) * needed
         self.taken = self.links | self.joints
         self.placed: dict[str, Joint] = {}
+        self.floating_bodies: dict[str, Joint] = {}
         self.poses: dict[str, Array] = {name: np.eye(4)}
         self.place_bodies()
         self.inside: dict[str, list[str]] = {"": []}
@@ -85,7 +88,8 @@ class _SdfWriter(UrdfWriter):
             ends = f"<parent>{GROUND}</parent><child>{child}</child>"
             self.add_element("joint", joint, " type='fixed'", ends)
         for joint in m.joints.values():
-            self.write_joint(joint)
+            if joint.name not in self.floating:
+                self.write_joint(joint)
         for frame in m.frames.values():
             subject = f"frame {frame.name!r}"
             pose = self.format_pose(frame.X_BF, "", subject)
@@ -135,7 +139,8 @@ class _SdfWriter(UrdfWriter):
 
     def check_names(self) -> None:
         """Refuse names that SDF reserves, and names that two parts share."""
-        kinds = {"joint": self.m.joints, "frame": self.m.frames, "body": self.m.bodies}
+        joints = {k: j for k, j in self.m.joints.items() if k not in self.floating}
+        kinds = {"joint": joints, "frame": self.m.frames, "body": self.m.bodies}
         models = {
             prefix[:-2]
             for parts in kinds.values()
@@ -167,22 +172,27 @@ class _SdfWriter(UrdfWriter):
         """Compute the poses of all bodies where all coordinates are zero."""
         around: dict[str, list[Joint]] = {b: [] for b in self.m.bodies}
         for joint in self.m.joints.values():
-            around[joint.parent].append(joint)
-            around[joint.child].append(joint)
+            if joint.name not in self.floating:
+                around[joint.parent].append(joint)
+                around[joint.child].append(joint)
         queue = deque(self.poses)
-        while queue:
+        # bodies that other joints lead to are placed by these
+        floating = deque(self.m.joints[name] for name in self.m.joints if name in self.floating)
+        while queue or floating:
+            if not queue:
+                joint = floating.popleft()
+                if joint.child not in self.poses:
+                    self.place_body(joint, joint.child)
+                    self.floating_bodies[joint.child] = joint
+                    queue.append(joint.child)
+                continue
             here = queue.popleft()
             for joint in around[here]:
                 there = joint.child if joint.parent == here else joint.parent
-                if there in self.poses:
-                    continue
-                X_PC = (self.place_on_parent(joint) @ joint.X_CM.invert_steps()).evaluate_pose(
-                    self.m.parameters
-                )
-                forward = joint.parent == here
-                self.poses[there] = self.poses[here] @ (X_PC if forward else spatial.inverse(X_PC))
-                self.placed[there] = joint
-                queue.append(there)
+                if there not in self.poses:
+                    self.place_body(joint, there)
+                    self.placed[there] = joint
+                    queue.append(there)
         lost = [b for b in self.m.bodies if b not in self.poses]
         if lost:
             shown = join_first_words([*map(repr, lost)], 8)
@@ -192,6 +202,23 @@ class _SdfWriter(UrdfWriter):
                 self.m.bodies[lost[0]].where,
                 self.format.cannot["bodies that no joint carries"],
             )
+
+    def place_body(self, joint: Joint, body: str) -> None:
+        """Compute the pose of a body from that of the other body of a joint."""
+        X_PC = (self.place_on_parent(joint) @ joint.X_CM.invert_steps()).evaluate_pose(
+            self.m.parameters
+        )
+        if body == joint.child:
+            self.poses[body] = self.poses[joint.parent] @ X_PC
+        else:
+            self.poses[body] = self.poses[joint.child] @ spatial.inverse(X_PC)
+
+    def is_floating_joint(self, joint: Joint) -> bool:
+        """Whether a joint leaves a body free on the ground, which SDF says by no joint."""
+        free = joint.type.type_name == "free" and not joint.type.options and self.m.dim == 3
+        bounded = {*joint.limits, *joint.velocity_limits, *joint.effort_limits}
+        held = any(c in self.held for c in self.list_coordinates(joint))
+        return free and joint.parent == self.m.ground.name and not bounded and not held
 
     def place_on_parent(self, joint: Joint) -> Placement:
         """Return the placement of frame M on the parent at zero or locked coordinates."""
@@ -242,6 +269,10 @@ class _SdfWriter(UrdfWriter):
                 inside.append(self.format_pose(X, seat.removeprefix(get_prefix(name)), subject))
             else:  # nested models do not see it, and stand where the outer one does
                 inside.append(self.format_pose(place(self.poses[body.name]), "", subject))
+        elif body.name in self.floating_bodies:
+            free = self.floating_bodies[body.name]
+            X = free.X_PF @ free.X_CM.invert_steps()
+            inside.append(self.format_pose(X, "", subject))
         if body.mass is not None or body.center is not None:
             center = (
                 f"<pose>{_format_numbers([*body.center, 0.0, 0.0, 0.0])}</pose>"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
@@ -109,7 +109,7 @@ class UrdfWriter:
         return head + "\n".join(self.lines) + "\n</robot>\n"
 
     @contextmanager
-    def record_bad_placement(self, subject: str, where: Where | None) -> Iterator[None]:
+    def record_bad_placement(self, subject: str, where: Where | None) -> Generator[None]:
         """Record a placement that is not a number as a problem of `subject`."""
         try:
             yield
