@@ -128,6 +128,7 @@ def page() -> str:
         for case in cases:
             with tempfile.TemporaryDirectory() as folder:
                 said, error = answer(case, Path(folder), variants(case)[0])
+            said = re.sub(r"than MuJoCo [\d.]+\w*,", "than MuJoCo X.Y.Z,", said)
             lines = said.splitlines()
             shown = "<br>".join(f"`` {line.replace('|', chr(92) + '|')} ``" for line in lines[:3])
             shown += f"<br>... ({len(lines)} lines)" if len(lines) > 3 else ""

@@ -561,6 +561,15 @@ def refused(path: Path | str) -> str:
     return str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "changed", ['<compiler internal="1"/>', "<internal/>", '<option integrator="internal"/>']
+)
+def test_files_for_other_versions_name_the_installed_one(changed: str):
+    said = refused(f"<mujoco>{changed}<worldbody/></mujoco>")
+    assert "internal" in said
+    assert f"for another version than MuJoCo {mujoco.__version__}, which is installed" in said
+
+
 def test_problems_of_included_files_have_their_file_and_line(tmp_path: Path):
     path = written(
         tmp_path,

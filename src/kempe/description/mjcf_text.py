@@ -13,6 +13,7 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Iterable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,6 +43,12 @@ FILE_LIMIT = 1000
 """Files that one model may include."""
 
 REFERENCE = "correct the file: MuJoCo's XML reference says what is allowed"
+
+KNOWN = (
+    "MuJoCo's XML reference lists those that it knows; the file may be for another version than "
+    "MuJoCo {installed}, which is installed"
+)
+"""What is allowed for names that a version of MuJoCo knows and another does not."""
 
 _BLANKED = re.compile(r"<!--.*?(?:-->|\Z)|<\?.*?\?>", re.DOTALL)
 _INCLUDE = re.compile(r"<include\b([^<>]*?)(?:/>|>\s*</include\s*>)", re.IGNORECASE)
@@ -377,12 +384,12 @@ _MESSAGES: tuple[tuple[str, str, str], ...] = (
     (
         r"Schema violation: unrecognized attribute: '(.*)'",
         "<{tag}> has no attribute {0!r}",
-        "MuJoCo's XML reference lists those that it has",
+        KNOWN,
     ),
     (
         r"Schema violation: unrecognized element",
         "<{tag}> is no element that MuJoCo reads there",
-        "MuJoCo's XML reference lists where it may stand",
+        KNOWN,
     ),
     (
         r"Schema violation: (.*)",
@@ -392,7 +399,7 @@ _MESSAGES: tuple[tuple[str, str, str], ...] = (
     (
         r"invalid keyword: '(.*)'",
         "{0!r} is no keyword that <{tag}> takes",
-        "MuJoCo's XML reference lists its keywords",
+        KNOWN,
     ),
     (
         r"(?:problem reading|bad format in|number is too large in) attribute '(.*)'",
@@ -455,5 +462,6 @@ def _make_compiler_error(said: str, merged: Merged) -> DescriptionError:
         if found := re.fullmatch(pattern, first):
             words = found.groups()
             text = message.format(*words, tag=tag[1] if tag else "")
-            return make_error(text, where, allowed.format(*words), subject)
+            allowed = allowed.format(*words, installed=version("mujoco"))
+            return make_error(text, where, allowed, subject)
     return make_error(f"MuJoCo's compiler says: {first}", where, REFERENCE, subject)
