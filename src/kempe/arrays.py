@@ -206,6 +206,8 @@ def read_mapping(given: Any) -> Mapping[str, Any] | None:
         return given
     if kind in PLAIN or kind is list or kind is str:
         return None
+    if kind is np.ndarray and given.dtype.names is None:
+        return None
     if is_mapping(given):
         return given
     whole: Any = given

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import IntEnum, auto
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import (
     Any,
     ClassVar,
@@ -670,7 +670,15 @@ def list_frame_fields(constraint: Constraint) -> dict[str, Any]:
 
 def list_number_fields(constraint: Constraint) -> dict[str, Any]:
     """Return the fields that hold numbers, with their values."""
-    return {f.name: getattr(constraint, f.name) for f in fields(constraint) if f.type in NUMBERS}
+    return {
+        name: getattr(constraint, name) for name in _list_fields_of_types(type(constraint), NUMBERS)
+    }
+
+
+@lru_cache(maxsize=512)
+def _list_fields_of_types(kind: type[Constraint], types: tuple[str, ...]) -> tuple[str, ...]:
+    """List the fields of a kind of constraints that have one of these types."""
+    return tuple(f.name for f in fields(kind) if f.type in types)
 
 
 def evaluate_number_fields(constraint: Constraint, parameters: Mapping[str, float]) -> Constraint:
@@ -683,7 +691,7 @@ def evaluate_number_fields(constraint: Constraint, parameters: Mapping[str, floa
         for k, x in list_number_fields(constraint).items()
         if list_expressions(x)
     }
-    given |= {f.name: parameters for f in fields(constraint) if f.type == PARAMETERS}
+    given |= dict.fromkeys(_list_fields_of_types(type(constraint), (PARAMETERS,)), parameters)
     return replace(constraint, **given) if given else constraint
 
 

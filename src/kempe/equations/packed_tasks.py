@@ -135,6 +135,12 @@ class Packed:
         """What solvers have worked out of weights and priorities."""
         self.scale: Array = self.loops.scale
         self.owner = np.array([owner.get(id(t), -1) for t in self.loops.ties], dtype=np.int64)
+        owners: list[int] = self.owner.tolist()
+        asked = [(tie, i) for tie, i in zip(self.loops.ties, owners, strict=True) if i >= 0]
+        self.pinned = [(tie, i) for tie, i in asked if tie.pin]
+        self.numbered = [(name, i) for tie, i in asked for name in tie.numbers]
+        """Ties that read the pose of a goal, and names of numbers of goals that ties read, with their
+        tasks."""
         self.rows = np.repeat(self.owner, [len(t.row_names) for t in self.loops.ties])
         """Task of each equation; -1 for loops, -2 for what holds of itself, -3 for declared ones
         between bounds."""
@@ -188,10 +194,8 @@ class Packed:
 
     def pack_pins(self, goals: Sequence[Goal], lead: tuple[int, ...] = ()) -> Array:
         """Pack the goals of tasks as the numbers (N or 1, k) that kernels read."""
-        owners: list[int] = self.owner.tolist()
-        ties = [(t, goals[i]) for t, i in zip(self.loops.ties, owners, strict=True) if i >= 0]
-        poses = [(tie, _compute_pinned_pose(tie, goal)) for tie, goal in ties if tie.pin]
-        numbers = [goal.numbers[name] for tie, goal in ties for name in tie.numbers]
+        poses = [(tie, _compute_pinned_pose(tie, goals[i])) for tie, i in self.pinned]
+        numbers = [goals[i].numbers[name] for name, i in self.numbered]
         out = np.empty((*lead, 12 * len(poses) + sum(x.shape[-1] for x in numbers)))
         at = 0
         for tie, pose in poses:

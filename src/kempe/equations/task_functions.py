@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from inspect import signature
 from typing import TYPE_CHECKING, Any
@@ -24,6 +24,7 @@ from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import make_q, read_q, sample_configurations
 from kempe.model.coordinates import Layout
 from kempe.model.kernel_functions import Callback, ConfigurationRows
+from kempe.model.model import keep_answers
 from kempe.spatial import Array
 from kempe.words import format_count
 
@@ -398,11 +399,7 @@ class CoordinateValues(Constraint):
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
         """One for each coordinate or quaternion."""
-        turning = self.system.structure.coordinates.turning
-        return tuple(
-            Row(Op.COORDINATE, (v, i, f"q[{i}]", ball), name, "rad" if turning[v] or ball else "m")
-            for name, i, v, ball in self.items
-        )
+        return _list_value_rows(self.system, self.items)
 
     def read_row_values(self, row: Row) -> Array:
         """Read the values that a row holds: (..., 1) of a coordinate, (..., 4) of a quaternion.
@@ -419,6 +416,28 @@ class CoordinateValues(Constraint):
         return x / size
 
 
+@keep_answers
+def _list_value_rows(system: Model, items: tuple[CoordinateItem, ...]) -> tuple[Row, ...]:
+    """List the rows that hold coordinates and quaternions at values."""
+    turning = system.structure.coordinates.turning
+    return tuple(
+        Row(Op.COORDINATE, (v, i, f"q[{i}]", ball), name, "rad" if turning[v] or ball else "m")
+        for name, i, v, ball in items
+    )
+
+
+@keep_answers
+def _list_coordinate_items(system: Model) -> tuple[CoordinateItem, ...]:
+    """List all coordinates and quaternions, in the order of their places in q."""
+    layout = system.structure.layout
+    names = system.coordinate_names
+    vectors = zip(layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True)
+    balls = zip(layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True)
+    items: list[CoordinateItem] = [(names[i], i, v, False) for i, v in vectors]
+    items += [(names[i], i, v, True) for i, v in balls]
+    return tuple(sorted(items, key=lambda item: item[1]))
+
+
 def make_coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
     """Make the coordinates and quaternions that a constraint holds at values of its field `q`.
 
@@ -426,20 +445,11 @@ def make_coordinate_values(system: Model, made: Constraint) -> CoordinateValues:
     four.
     """
     given: Any = made.q  # type: ignore[attr-defined]
-    layout = system.structure.layout
-    names = system.coordinate_names
-    vectors: Iterable[tuple[int, int]] = zip(
-        layout.vector_q.tolist(), layout.vector_v.tolist(), strict=True
-    )
-    balls: Iterable[tuple[int, int]] = zip(
-        layout.quaternion_q.tolist(), layout.quaternion_v.tolist(), strict=True
-    )
-    items: list[CoordinateItem] = [(names[i], i, v, False) for i, v in vectors]
-    items += [(names[i], i, v, True) for i, v in balls]
-    items.sort(key=lambda item: item[1])
+    items = _list_coordinate_items(system)
     values = read_mapping(given)
     if values is None:
-        return CoordinateValues(system, read_q(system, given), tuple(items), name=made.label)
+        return CoordinateValues(system, read_q(system, given), items, name=made.label)
+    names = system.coordinate_names
     # refuses names that are none, or follow others
     make_q(system, dict.fromkeys(values, 0.0))
     columns = {n: read_numbers(x, f"{n!r} of {made.label}") for n, x in values.items()}

@@ -13,6 +13,7 @@ from kempe.answers.answer import Answer
 from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import read_reals
 from kempe.equations.one_sided import pack_one_sided_rows
+from kempe.equations.packed_tasks import Packed, find_leading_shape, refuse_goal
 from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.forward.fk import query, refuse_bad_configuration
@@ -343,13 +344,13 @@ class BoundStep:
 
 
 class BoundTaskStep:
-    """`ik_step` of tasks of one structure, with their weights and priorities, without loops."""
+    """`ik_step` of tasks of one structure, with their weights and priorities."""
 
     def __init__(self, problem: Demands):
         packed = problem.packed
         system = problem.system
         self.system = system
-        self.packed = packed
+        self.loops = packed.loops
         levels, strengths, *_ = problem.levels
         counts = [len(t.row_names) for t in packed.loops.ties]
         level, hard = np.repeat(levels.reshape(2, -1), counts, axis=1)
@@ -390,7 +391,7 @@ class BoundTaskStep:
     ) -> IkStep | None:
         """Take a step towards the goals in `pins` (k,); None where these or q are none."""
         system = self.system
-        loops = self.packed.loops
+        loops = self.loops
         out = self.new()
         count = task_step.compute_task_step(
             loops.ints,
@@ -427,6 +428,16 @@ class BoundTaskStep:
         )
 
 
+def _is_open(packed: Packed) -> bool:
+    """Whether the kernel takes steps of tasks: no loops, declared constraints, Python functions."""
+    return not (
+        packed.closed
+        or packed.one_sided.declared
+        or has_velocity_constraints(packed.system)
+        or any(t.function is not None for t in packed.loops.ties)
+    )
+
+
 def _make_task_step(
     system: Model,
     q: Array,
@@ -440,24 +451,19 @@ def _make_task_step(
 
     The kernel gives no step for goals that are none; the general way says why.
     """
-    from kempe.inverse.tasks.search import make_demands
+    from kempe.inverse.tasks.search import make_distinct_tasks, pack_tasks
 
-    problem, _ = make_demands(system, wanted, q)
-    packed = problem.packed
-    if not (
-        problem.lead
-        or packed.closed
-        or packed.one_sided.declared
-        or has_velocity_constraints(system)
-        or any(t.function is not None for t in packed.loops.ties)
-    ):
-        key = BoundTaskStep, *((t.priority, t.weight) for t in problem.tasks)
-        bound = packed.stages.get(key)
-        if bound is None:
-            bound = store_answer(packed.stages, key, BoundTaskStep(problem), KEPT)
-        pins = np.ascontiguousarray(problem.pins[0])
+    made = make_distinct_tasks(wanted, system)
+    goals = [t.make_goal() for t in made]
+    packed = pack_tasks(system, made, False)
+    key = BoundTaskStep, *((t.priority, t.weight) for t in made)
+    bound = packed.stages.get(key)
+    if bound is None and _is_open(packed):
+        bound = BoundTaskStep(make_step_problem(system, wanted, q))
+        store_answer(packed.stages, key, bound, KEPT)
+    if bound is not None and not find_leading_shape(goals):
         answer = bound.take_step(
-            pins,
+            packed.pack_pins(goals)[0],
             np.ascontiguousarray(q),
             float(dt),
             np.ascontiguousarray(speed),
@@ -644,7 +650,6 @@ def make_step_problem(system: Model, wanted: Any, q: Array) -> Demands:
 
     Errors: `InputError` for a batch, and for goals that are none.
     """
-    from kempe.equations.packed_tasks import refuse_goal
     from kempe.inverse.tasks.search import make_demands
 
     problem, _ = make_demands(system, wanted, q)

@@ -702,7 +702,7 @@ def make_demands(
 
     `starts` None are as many as it deserves.
     """
-    tasks = _make_distinct_tasks(wanted, system)
+    tasks = make_distinct_tasks(wanted, system)
     goals = tuple(t.make_goal() for t in tasks)
     base = _choose_home(system) if start is None else read_start(system, start)
     lead = own = find_leading_shape(goals)
@@ -745,7 +745,7 @@ def _choose_home(system: Model) -> Array:
     return find_home(system)
 
 
-def _make_distinct_tasks(wanted: Any, system: Model) -> tuple[Task, ...]:
+def make_distinct_tasks(wanted: Any, system: Model) -> tuple[Task, ...]:
     """Make checked tasks with different labels."""
     single = isinstance(wanted, Constraint)
     given: tuple[Any, ...] = (wanted,) if single else tuple(wanted) if is_sequence(wanted) else ()
