@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hunts import Hunt
@@ -9,7 +11,11 @@ from hunts import Hunt
 import kempe
 from kempe.errors import InputError, UnsupportedError
 from kempe.workspace.kinds import read_workspace_kind
-from kempe.workspace.planar.planar_workspace import compute_planar_workspace, planar_workspace
+from kempe.workspace.planar.planar_workspace import (
+    compute_planar_workspace,
+    describe_ring,
+    planar_workspace,
+)
 from kempe.workspace.planar.plane_curves import PlanePiece
 
 
@@ -442,3 +448,31 @@ def test_curves_that_nearly_coincide(over):
         2,
     ]
     assert w.regions[1].area == pytest.approx(np.pi * over**2, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("bars", "base", "said"),
+    [
+        ((0.5, 0.4), (0.0, 0.0), "annulus about (0, 0), 0.1 to 0.9 m"),
+        ((1.0, 0.5), (0.3, -0.4), "annulus about (0.3, -0.4), 0.5 to 1.5 m"),
+        ((1.0, 1.0), (0.0, 0.0), "disc about (0, 0), radius 2 m"),
+    ],
+)
+def test_a_disc_or_an_annulus_is_named_before_the_samples(bars, base, said):
+    m = kempe.Mechanism("arm", dim=2)
+    m.revolute("a", m.ground, m.body("one"), at=base)
+    m.revolute("b", "one", m.body("two"), at=(bars[0], 0))
+    m.frame("tip", "two", at=(bars[1], 0))
+    system = m.build()
+    assert system.reach.planar("tip").status.startswith(f"arm, tip: {said}, area ")
+    assert system.workspace("tip", n=1e4).status.startswith(f"{said}, exactly; 10000 samples of ")
+    limited = system.with_limits({"a": (-1, 1)}).reach.planar("tip")
+    assert limited.ring == "" and "bounded by" in limited.status
+
+
+def test_circles_about_two_points_are_no_ring():
+    arc = PlanePiece(0j, 1.0, 0.0, math.tau)
+    half = PlanePiece(0j, 1.0, 0.0, math.pi)
+    hole = PlanePiece(0.01 + 0j, 0.5, math.tau, -math.tau)
+    assert describe_ring([arc, hole], 1e-9) == describe_ring([half], 1e-9) == ""
+    assert describe_ring([half, PlanePiece(0j, 1.0, math.pi, math.pi)], 1e-9).startswith("disc")

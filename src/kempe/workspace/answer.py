@@ -654,7 +654,12 @@ class Workspace(Report):
 
     @property
     def status(self) -> str:
-        """The number of samples, and of cells with samples, as a sentence."""
+        """What is known exactly, then the numbers of samples and of cells with samples."""
+        ring = self.exact.ring if isinstance(self.exact, PlanarWorkspace) else ""
+        return f"{ring}, exactly; {self._describe_samples()}" if ring else self._describe_samples()
+
+    def _describe_samples(self) -> str:
+        """Describe the number of samples, and of cells with samples."""
         found = int(self.map.occupied.sum())
         of = self.map.counts.size
         wanted = self.workspace_kind

@@ -5,6 +5,7 @@ The region of a frame of a system is found here, too, from its chain or from its
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -44,6 +45,7 @@ from kempe.workspace.planar.planar_platform import (
 from kempe.workspace.planar.plane_curves import (
     NOTHING,
     PlanarRegion,
+    PlanePiece,
     intersect_regions,
     shrink_region,
 )
@@ -359,6 +361,11 @@ class PlanarWorkspace(Report):
         return import_late_member("plots of workspaces").plot_planar(self, ax)
 
     @property
+    def ring(self) -> str:
+        """Description of a disc or an annulus: 'annulus about (0, 0), 0.1 to 0.9 m'; '' for others."""
+        return describe_ring(self.boundary, AT_ORIGIN * self.region.size)
+
+    @property
     def status(self) -> str:
         """The area of the workspace and the curves that bound it, as a sentence."""
         of = f"{self.system.name}, {self.frame}" + (
@@ -368,6 +375,8 @@ class PlanarWorkspace(Report):
             return f"{of}: a curve, without area"
         if not self.regions:
             return f"{of}: no place is reached"
+        if ring := self.ring:
+            return f"{of}: {ring}, area {self.area:.9g} m^2"
         kinds = Counter(p.kind for p in self.boundary)
         pieces = join_words([format_count(n, kind) for kind, n in sorted(kinds.items())])
         voids = f", with {format_count(len(self.voids), 'void')}" if self.voids else ""
@@ -410,6 +419,28 @@ def describe_solution_count(region: SolutionRegion, kind: str) -> str:
 def compute_loop_area(loop: tuple[PlaneCurve, ...]) -> float:
     """Compute the area to the left of a closed curve; coupler curves count by short chords."""
     return sum(piece.moment for piece in loop)
+
+
+def describe_ring(pieces: Sequence[PlaneCurve], same: float) -> str:
+    """Describe a boundary that is one whole circle, or two about one point; '' for others.
+
+    Lengths that differ by less than `same` are equal.
+    """
+    arcs = [p for p in pieces if isinstance(p, PlanePiece) and p.is_arc]
+    if not arcs or len(arcs) < len(pieces):
+        return ""
+    centre = arcs[0].centre
+    radii = sorted({p.radius for p in arcs})
+    radii = [r for k, r in enumerate(radii) if k == 0 or r - radii[k - 1] > same]
+    turns = [sum(p.sweep for p in arcs if abs(p.radius - r) <= same) / math.tau for r in radii]
+    concentric = all(abs(p.centre - centre) <= same for p in arcs)
+    x, y = (0.0 if abs(c) <= same else c for c in (centre.real, centre.imag))
+    about = f"about ({x:.6g}, {y:.6g})"
+    if not concentric or not np.allclose(turns, [-1.0, 1.0][-len(radii) :], atol=1e-9):
+        return ""
+    if len(radii) == 1:
+        return f"disc {about}, radius {radii[0]:.6g} m"
+    return f"annulus {about}, {radii[0]:.6g} to {radii[1]:.6g} m"
 
 
 def _join_loops(pieces: Sequence[PlaneCurve], same: float) -> tuple[tuple[PlaneCurve, ...], ...]:
