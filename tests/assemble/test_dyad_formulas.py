@@ -157,7 +157,7 @@ def test_the_four_bar_on_paper():
         )
         assert a * math.sin(A) + b * math.sin(A + B) == pytest.approx(c * math.sin(D), abs=1e-12)
     assert (
-        "r_{2 1} &= d_{x 1}^{2} + d_{y 1}^{2}" in formulas.latex()
+        "r_{1}^{2} &= d_{x 1}^{2} + d_{y 1}^{2}" in formulas.latex()
         and "def inverse(A, sign_1, a" in formulas.code()
     )
     assert "the law of cosines, if b != 0 and c != 0" in str(formulas)

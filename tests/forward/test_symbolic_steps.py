@@ -104,6 +104,7 @@ def test_latex_says_both_frames_at_the_left():
     steps = ARM.symbolic.steps("e")
     assert (
         r"{}^{\mathrm{ground}}_{\mathrm{B1}}T" in steps.latex()
+        and "{}^{0}_{1}T &=" in steps.latex(numbered=True)
         and steps._repr_latex_().startswith("$")
     )
     assert "B2 in B1: p = (l1, 0, 0)" in str(steps)

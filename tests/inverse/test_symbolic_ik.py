@@ -73,6 +73,8 @@ def test_what_is_printed():
     assert (
         "s_{2} &= \\pm \\sqrt{1 - c_{2}^{2}}" in formulas.latex()
         and formulas.latex() in formulas._repr_latex_()
+        and "r^{2} &= p_{x}^{2} + p_{y}^{2}" in formulas.latex()
+        and r"\operatorname{atan2}{\left(s_{2},c_{2}" in formulas.latex()
     )
     code = formulas.code()
     assert (
@@ -326,7 +328,7 @@ def test_what_is_printed_of_numbers_can_be_read():
     both = system.ik_all([0.4, 0.2], "tip")
     assert (
         "c2 = 6.66667*r2 - 1.01667" in str(formulas)
-        and "6.66667 r_{2} - 1.01667" in formulas.latex()
+        and "6.66667 r^{2} - 1.01667" in formulas.latex()
     )
     assert "6.6666666666666" in formulas.code()
     np.testing.assert_allclose(

@@ -92,8 +92,13 @@ class Derivation:
             s: r"\pm" + (f"_{{{k}}}" if len(self.signs) > 1 else "")
             for k, s in enumerate(self.signs, 1)
         }
+        for step in self.steps:
+            square = SQUARE.fullmatch(str(step.symbol))
+            if square and str(step.symbol) not in self.coordinates:
+                names[step.symbol] = "r" + f"_{{{square[1]}}}" * bool(square[1]) + "^{2}"
         lines = (
-            f"{format_latex(step.symbol)} &= {format_latex(_round_numbers(step.formula), names)}"
+            f"{format_latex(step.symbol, names)} &= "
+            f"{format_latex(_round_numbers(step.formula), names)}"
             for step in self.steps
         )
         return align_formulas(line.replace(r"- \pm", r"\mp") for line in lines)
@@ -219,6 +224,10 @@ def iterate_endings() -> Iterator[str]:
     The first ending that no symbol of a system has makes new names unique.
     """
     return itertools.chain([""], (f"_{k}" for k in itertools.count()))
+
+
+SQUARE = re.compile("r2(?:_(.+))?")
+"""Names of the symbols `Names.r2`, which are squares of a distance r."""
 
 
 class Names(NamedTuple):

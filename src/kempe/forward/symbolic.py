@@ -323,11 +323,14 @@ def format_latex(formula: Any, names: Mapping[Any, str] | None = None) -> str:
         )
         for s in formula.free_symbols
     }
-    return str(sympy.latex(formula, symbol_names={**own, **(names or {})}))
+    text = str(sympy.latex(formula, symbol_names={**own, **(names or {})}))
+    return text.replace(r"\operatorname{atan}_{2}", r"\operatorname{atan2}")
 
 
 def format_upright_name(name: str) -> str:
-    """Format the name of a body or frame in LaTeX, in upright letters."""
+    """Format the name of a body or frame in LaTeX, in upright letters; numbers stay as they are."""
+    if name.isdigit():
+        return name
     return rf"\mathrm{{{name.translate(ESCAPED)}}}"
 
 

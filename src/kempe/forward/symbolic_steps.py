@@ -73,18 +73,41 @@ class SymbolicSteps:
         X = fk(self.system, q, list(self.names))
         return spatial.inverse(X[..., :-1, :, :]) @ X[..., 1:, :, :]
 
-    def latex(self, form: str = "matrices") -> str:
-        """Return the forward kinematics in LaTeX, with the merged result.
+    def latex(self, form: str = "matrices", *, numbered: bool = False) -> str:
+        r"""Return the forward kinematics in LaTeX, with the merged result.
 
-        The names of both frames stand at the left of each symbol.
+        The two frames of each pose stand at the left of its symbol.
 
-        `form` "matrices" has the homogeneous matrices and their product, "separate" R and p of each
-        step and how they combine, "products" the pose in the ground frame after each step. Errors:
-        `UnknownNameError` for other forms.
+        Parameters
+        ----------
+        form
+            "matrices": the homogeneous matrices and their product; "separate": R and p of each step
+            and how they combine; "products": the pose in the ground frame after each step.
+        numbered
+            Whether frames are written as numbers 0, 1, 2, ... from the ground to the tip, in place
+            of their names.
+
+        Returns
+        -------
+        str
+            An `aligned` environment, without dollar signs.
+
+        Raises
+        ------
+        UnknownNameError
+            For other forms.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> steps = kempe.load("two_link").symbolic.steps("e")
+        >>> print(steps.latex(numbered=True).splitlines()[-2].split("=")[1].strip())
+        {}^{0}_{1}T \, {}^{1}_{2}T \, {}^{2}_{3}T
         """
-        ground = self.names[0]
-        tip = self.names[-1]
-        ways = list(zip(self.names[:-1], self.names[1:], strict=True))
+        names = tuple(map(str, range(len(self.names)))) if numbered else self.names
+        ground = names[0]
+        tip = names[-1]
+        ways = list(zip(names[:-1], names[1:], strict=True))
         form = check_name("form", form, FORMS)
         if form == "separate":
             lines: list[str] = []
