@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
 
@@ -88,7 +90,7 @@ def run_tour(
     ] = None,
 ) -> None:
     """Walk through the lecture: its sections, their code, and what comes out. Enter goes on, q
-    ends.
+    ends. Solutions of the exercises come last.
 
     Example: kempe tour --section 3
     """
@@ -114,21 +116,37 @@ def run_tour(
         print_json({"sections": parts})
         return
     pause = not every and sys.stdin.isatty() and sys.stdout.isatty()
+    solutions: list[tuple[str, list[tuple[str, str]]]] = []
     for i, x in enumerate(found):
         if i and pause and _is_tour_ended():
             return
         heading = f"{x.number} {x.title}"
         print(f"{heading}\n{'-' * len(heading)}\n")
-        code = False
-        for kind, text in lecture.iterate_parts(x, pictures):
-            said = {"code": lecture.add_prompts, "picture": "[picture: {}]".format}.get(kind, str)
-            print(
-                "\n" * (code and kind == "text") + said(text),
-                end="\n" if kind == "code" else "\n\n",
-            )
-            code = kind == "code"
-        if code:
-            print()
+        parts = iter(lecture.iterate_parts(x, pictures))
+        _print_parts(itertools.takewhile(lambda part: part[0] != "solution", parts))
+        solutions.append((heading, list(parts)))
+    if pause and _is_tour_ended():
+        return
+    print("Solutions\n---------\n")
+    for heading, parts in solutions:
+        print(f"{heading}:\n")
+        _print_parts(parts)
+
+
+def _print_parts(parts: Iterable[tuple[str, str]]) -> None:
+    """Print the parts of a section, each as it comes."""
+    from kempe.library import lecture
+
+    code = False
+    for kind, text in parts:
+        said = {"code": lecture.add_prompts, "picture": "[picture: {}]".format}.get(kind, str)
+        print(
+            "\n" * (code and kind == "text") + said(text),
+            end="\n" if kind == "code" else "\n\n",
+        )
+        code = kind == "code"
+    if code:
+        print()
 
 
 def _is_tour_ended() -> bool:

@@ -22,14 +22,16 @@ CELL = re.compile(
 )
 """A block of code with what the page shows below it: its output and its pictures."""
 
+SOLUTION = re.compile(r"<details><summary>Solution</summary>(.*?)</details>", re.DOTALL)
+"""The solution of the exercise of a section, which the page folds away."""
+
 WIDTH = 100
 """Columns of the text."""
 
 MARKUP = (
     (r"<!--.*?-->", ""),
-    (r"<details><summary>(.*?)</summary>", r"\1:"),
-    (r"</details>", ""),
-    (r"\[([^]]*)\]\([^)]*\)", r"\1"),
+    (r"\[([^]]*)\]\((https?://[^)]*)\)", r"\1 (\2)"),
+    (r"\[([^]]*)\]\(([^)]*)\)", r"\1 (docs/\2)"),
     (r"\*\*(.*?)\*\*|\*(\S.*?\S)\*", r"\1\2"),
     (r"`(.*?)`", r"\1"),
 )
@@ -70,11 +72,12 @@ class Cell:
 
 @dataclass(frozen=True)
 class Section:
-    """A section of the lecture: number (from 1), title, texts and cells."""
+    """A section of the lecture: number (from 1), title, texts and cells, and those of the solution."""
 
     number: int
     title: str
     parts: tuple[str | Cell, ...]
+    solution: tuple[str | Cell, ...] = ()
 
 
 def read_page() -> str:
@@ -91,12 +94,19 @@ def read_sections() -> tuple[Section, ...]:
     out: list[Section] = []
     for number, text in enumerate(rest, 1):
         title, _, body = text.partition("\n")
-        pieces = CELL.split(body)
-        parts: list[str | Cell] = [format_plain_text(pieces[0])]
-        for code, pictures, after in zip(pieces[1::3], pieces[2::3], pieces[3::3], strict=True):
-            parts += [Cell(code, bool(pictures)), format_plain_text(after)]
-        out.append(Section(number, title.strip(), (*first, *(x for x in parts if x))))
+        parts = _split_parts(SOLUTION.sub("", body))
+        solution = [x for folded in SOLUTION.findall(body) for x in _split_parts(folded)]
+        out.append(Section(number, title.strip(), (*first, *parts), tuple(solution)))
     return tuple(out)
+
+
+def _split_parts(body: str) -> list[str | Cell]:
+    """Split Markdown into plain texts and cells of code."""
+    pieces = CELL.split(body)
+    parts: list[str | Cell] = [format_plain_text(pieces[0])]
+    for code, pictures, after in zip(pieces[1::3], pieces[2::3], pieces[3::3], strict=True):
+        parts += [Cell(code, bool(pictures)), format_plain_text(after)]
+    return [x for x in parts if x]
 
 
 def choose_sections(number: int | None) -> tuple[Section, ...]:
@@ -130,12 +140,16 @@ def format_plain_text(text: str) -> str:
 def iterate_parts(section: Section, pictures: Path | None = None) -> Iterator[tuple[str, str]]:
     """Yield the parts of a section as pairs: "text", "code", its "output", or a "picture".
 
+    The pair "solution" comes before the parts of the solution.
+
     Pictures are drawn where there is a folder for them, which is made. Code that needs a package
     that is not installed says so, and is left out with what depends on it.
     """
     names: dict[str, Any] = {}
     drawn = 0
-    for part in section.parts:
+    for k, part in enumerate((*section.parts, *section.solution)):
+        if k == len(section.parts):
+            yield "solution", "Solution"
         if isinstance(part, str):
             yield "text", part
             continue
