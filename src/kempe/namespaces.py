@@ -62,12 +62,58 @@ class Symbolic(Namespace):
         snap: float = 0.0,
         short: bool = False,
     ) -> Matrix | ShortForm:
-        """Derive the forward kinematics of a frame as a SymPy matrix 4 x 4.
+        """Derive the pose of a frame as a SymPy matrix 4 x 4, in coordinates and parameters.
 
-        It is in the ground frame or in another frame.
+        Angles of parallel joints are summed: cos(q1 + q2).
 
-        With `short` a `ShortForm`: l1 c1 + l2 c12, and the legend; see
-        `kempe.forward.symbolic`.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        relative_to
+            Frame in which the pose is expressed. Default: the ground frame.
+        symbols
+            Replacements of coordinates and parameters, by name: other symbols, expressions,
+            numbers, or text of an expression. Default: symbols with their own names.
+        snap
+            Angle in radians, from 0 to below pi/4: angles that differ by at most that from a
+            multiple of pi/2 become this multiple, and axes that near to x, y or z become these.
+            Robot files write 1.5708. Default: exact multiples of pi/12 only.
+        short
+            Whether to return short names of sines and cosines: l1 c1 + l2 c12.
+
+        Returns
+        -------
+        Matrix or ShortForm
+            Lengths in metres, angles in radians. With `short` a pair of `formula` and `legend`. The
+            attribute `snapped` of the matrix lists in sentences what `snap` changed.
+
+        Raises
+        ------
+        UnknownNameError
+            For names that the system does not have.
+        InputError
+            For a `snap` outside its range, and where a coordinate and a parameter share a name.
+        UnsupportedError
+            For formulas that would be too long.
+        MissingExtraError
+            Without SymPy.
+
+        See Also
+        --------
+        steps : The matrices whose product this is.
+        System.fk : The pose in numbers.
+
+        Notes
+        -----
+        Product of homogeneous matrices along the chain (Siciliano, Sciavicco, Villani, Oriolo 2009,
+        section 2.7). Quaternions are taken to have norm one.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> kempe.load("two_link").symbolic.fk("e")[0, 3]
+        l1*cos(q1) + l2*cos(q1 + q2)
         """
         from kempe.forward.symbolic_steps import derive_short_fk
 
@@ -83,9 +129,44 @@ class Symbolic(Namespace):
         symbols: Mapping[str, Expr | str | float] | None = None,
         snap: float = 0.0,
     ) -> SymbolicSteps:
-        """Derive the matrices whose product is the forward kinematics.
+        """Derive the pose of each frame of the chain in the frame before it.
 
-        See `kempe.forward.symbolic_steps`.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        symbols
+            Replacements of coordinates and parameters, by name: other symbols, expressions,
+            numbers, or text of an expression. Default: symbols with their own names.
+        snap
+            Angle in radians, from 0 to below pi/4: angles that differ by at most that from a
+            multiple of pi/2 become this multiple, and axes that near to x, y or z become these.
+            Robot files write 1.5708. Default: exact multiples of pi/12 only.
+
+        Returns
+        -------
+        SymbolicSteps
+            `names` of the frames from the ground to the tip; matrices `T`, `R` and `p` of each
+            step; `products`, the poses in the ground frame; `merged`, the result as `fk` gives it;
+            `latex()` and `numbers(q)`.
+
+        Raises
+        ------
+        UnknownNameError
+            For names that the system does not have.
+        InputError
+            For a `snap` outside its range, and where a coordinate and a parameter share a name.
+
+        See Also
+        --------
+        fk : The product.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> steps = kempe.load("two_link").symbolic.steps("e")
+        >>> steps.names, steps.p[1].T
+        (('ground', 'B1', 'B2', 'e'), Matrix([[l1, 0, 0]]))
         """
         from kempe.forward.symbolic_steps import derive_steps
 
@@ -99,9 +180,50 @@ class Symbolic(Namespace):
         symbols: Mapping[str, Expr | str | float] | None = None,
         snap: float = 0.0,
     ) -> Matrix | ShortForm:
-        """Derive the Jacobian of a frame as a SymPy matrix 6 x nv.
+        """Derive the Jacobian of a frame as a SymPy matrix 6 x nv, in axes of the ground.
 
-        See `kempe.forward.symbolic_steps`.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        symbols
+            Replacements of coordinates and parameters, by name: other symbols, expressions,
+            numbers, or text of an expression. Default: symbols with their own names.
+        snap
+            Angle in radians, from 0 to below pi/4: angles that differ by at most that from a
+            multiple of pi/2 become this multiple, and axes that near to x, y or z become these.
+            Robot files write 1.5708. Default: exact multiples of pi/12 only.
+
+        Returns
+        -------
+        Matrix
+            Linear velocity of the frame's origin in rows 0 to 2, angular velocity in rows 3 to 5;
+            one column for each velocity coordinate.
+
+        Raises
+        ------
+        UnknownNameError
+            For names that the system does not have.
+        InputError
+            For a `snap` outside its range, and where a coordinate and a parameter share a name.
+        UnsupportedError
+            Where a joint with a quaternion moves the frame.
+
+        See Also
+        --------
+        System.jacobian : The same in numbers.
+
+        Notes
+        -----
+        A joint that turns about the axis a through c has the column [a x (p - c); a], a joint that
+        slides along a has [a; 0] (Siciliano, Sciavicco, Villani, Oriolo 2009, section 3.1).
+
+        Examples
+        --------
+        >>> import kempe
+        >>> J = kempe.load("two_link").symbolic.jacobian("e")
+        >>> J.shape, J[1, 1]
+        ((6, 2), l2*cos(q1 + q2))
         """
         from kempe.forward.symbolic_steps import derive_jacobian
 
@@ -111,9 +233,42 @@ class Symbolic(Namespace):
     def closure(
         self, *, symbols: Mapping[str, Expr | str | float] | None = None, snap: float = 0.0
     ) -> SymbolicClosure:
-        """Derive the equations f(q) = 0 of all loops.
+        """Derive the equations f(q) = 0 of closed configurations.
 
-        See `kempe.forward.symbolic_closure.derive_closure`.
+        Parameters
+        ----------
+        symbols
+            Replacements of coordinates and parameters, by name: other symbols, expressions,
+            numbers, or text of an expression. Default: symbols with their own names.
+        snap
+            Angle in radians, from 0 to below pi/4: angles that differ by at most that from a
+            multiple of pi/2 become this multiple, and axes that near to x, y or z become these.
+            Robot files write 1.5708. Default: exact multiples of pi/12 only.
+
+        Returns
+        -------
+        SymbolicClosure
+            `equations`: a matrix (m, 1) for each cut joint, constraint and relation, by its name;
+            `matrix`: all of them in one column; `latex()`. Lengths are in metres; turns are sines
+            of angles, which are zero half a turn off, too; a rod gives the difference of the
+            squares of two lengths.
+
+        Raises
+        ------
+        UnsupportedError
+            For constraints without such equations.
+        InputError
+            For a `snap` outside its range, and where a coordinate and a parameter share a name.
+
+        See Also
+        --------
+        System.assemble : Configurations that satisfy the equations.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> kempe.load("four_bar").symbolic.closure()["C"][0]
+        a*cos(A) + b*cos(A + B) - c*cos(D) - d
         """
         from kempe.forward.symbolic_closure import derive_closure
 
@@ -128,9 +283,53 @@ class Symbolic(Namespace):
         symbols: Mapping[str, Expr | str | float] | None = None,
         snap: float = 0.0,
     ) -> DHTable:
-        """Derive the Denavit-Hartenberg table of a frame's chain.
+        """Derive the Denavit-Hartenberg table of the chain that moves a frame.
 
-        See `kempe.forward.symbolic_dh.to_dh`.
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        convention
+            "standard" or "modified", as in `kempe.from_dh`.
+        symbols
+            Replacements of coordinates and parameters, by name: other symbols, expressions,
+            numbers, or text of an expression. Default: symbols with their own names.
+        snap
+            Angle in radians, from 0 to below pi/4: angles that differ by at most that from a
+            multiple of pi/2 become this multiple, and axes that near to x, y or z become these.
+            Robot files write 1.5708. Default: exact multiples of pi/12 only.
+
+        Returns
+        -------
+        DHTable
+            `rows` with a, alpha, d and theta of each joint, the poses `base` and `tool` (4, 4)
+            before and after them, and `mechanism()`, the chain that the table describes.
+
+        Raises
+        ------
+        UnknownNameError
+            For names that the system does not have.
+        InputError
+            For a `snap` outside its range, and where a coordinate and a parameter share a name.
+        UnsupportedError
+            For quaternions, helical joints and couplings, and for a frame that no joint moves.
+
+        See Also
+        --------
+        kempe.from_dh : The mechanism of a table.
+
+        Notes
+        -----
+        Frames stand on the common normals of successive axes (Denavit and Hartenberg, 1955). Where
+        axes are parallel, d is zero.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> print(kempe.load("two_link").symbolic.to_dh("e"))
+        e of two_link, standard Denavit-Hartenberg
+          joint = q1, a = l1, alpha = 0, d = 0, theta = q1
+          joint = q2, a = l2, alpha = 0, d = 0, theta = q2
         """
         from kempe.forward.symbolic_dh import to_dh
 
@@ -145,9 +344,59 @@ class Symbolic(Namespace):
         symbols: Mapping[str, Expr | str | float] | None = None,
         snap: float = 0.0,
     ) -> InverseFormulas:
-        """Derive formulas of the inverse kinematics of a planar arm, or a spatial arm with a wrist.
+        """Derive formulas of the inverse kinematics, step by step as on paper.
 
-        See `kempe.inverse.formulas.derive_ik`.
+        They exist for planar arms of two or three joints, SCARAs, and arms in space of three or six
+        joints with a wrist or with three parallel axes. Limits are not regarded.
+
+        Parameters
+        ----------
+        frame
+            Name of the body or frame.
+        task
+            "position" or "pose". Default: the one that the number of joints allows.
+        symbols
+            Replacements of coordinates and parameters, by name: other symbols, expressions,
+            numbers, or text of an expression. Default: symbols with their own names.
+        snap
+            Angle in radians, from 0 to below pi/4: angles that differ by at most that from a
+            multiple of pi/2 become this multiple, and axes that near to x, y or z become these.
+            Robot files write 1.5708. Default: exact multiples of pi/12 only.
+
+        Returns
+        -------
+        InverseFormulas
+            `steps` with symbol, formula, reason and condition of each; `target` and `signs`, the
+            symbols that are given; `latex()`; `code()`, a Python function for NumPy. Called with
+            targets and signs it returns coordinates (..., n) in radians and metres, NaN out of
+            reach.
+
+        Raises
+        ------
+        UnknownNameError
+            For names that the system does not have.
+        InputError
+            For a `snap` outside its range, and where a coordinate and a parameter share a name.
+        UnsupportedError
+            For other chains, and for systems with constraints.
+
+        See Also
+        --------
+        System.ik_all : All solutions in numbers, of more chains.
+
+        Notes
+        -----
+        The position is squared and summed, which leaves the angle of the elbow; its sine has two
+        signs (Siciliano, Sciavicco, Villani, Oriolo 2009, section 2.12.1).
+
+        Examples
+        --------
+        >>> import kempe
+        >>> formulas = kempe.load("two_link").symbolic.ik("e")
+        >>> print(formulas.steps[1].formula)
+        (-l1**2 - l2**2 + r2)/(2*l1*l2)
+        >>> formulas([0.6, 0.3], sign=1).round(6)
+        array([-0.171499,  1.470629])
         """
         from kempe.inverse.formulas import derive_ik
 
@@ -155,9 +404,31 @@ class Symbolic(Namespace):
 
     @explain_errors
     def short(self, formula: Expr | Matrix) -> ShortForm:
-        """Shorten a formula, with c12 for cos(q1 + q2), and return the short form and the legend.
+        """Shorten a formula: c1 for cos(q1), s12 for sin(q1 + q2).
 
-        See `kempe.forward.symbolic_steps`.
+        Parameters
+        ----------
+        formula
+            Expression or matrix of SymPy. A coordinate is named by the last digit of its name if
+            that tells it from the others, else by its name after an underscore.
+
+        Returns
+        -------
+        ShortForm
+            A pair of `formula` and `legend`, a dict from each short name to what it stands for.
+            Functions whose short name is taken stay as they are.
+
+        Raises
+        ------
+        InputError
+            For what is no formula of SymPy.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> arm = kempe.load("two_link")
+        >>> arm.symbolic.short(arm.symbolic.fk("e")[0, 3]).formula
+        c1*l1 + c12*l2
         """
         from kempe.forward.symbolic_steps import shorten_formula
 

@@ -361,20 +361,37 @@ class Turned(NamedTuple):
 class Correspondence:
     """Conversion between a system and a model of Pinocchio or MuJoCo, in both directions.
 
-    It converts configurations, velocities and Jacobians.
+    It converts configurations, velocities and Jacobians, and is made once for many conversions;
+    `kempe.convert.to_pinocchio` and its like make one in each call.
 
-    It is made once for many conversions; `to_pinocchio` and its like make one in each call. Joints
-    are paired by name; a free base also with one of another name; and several joints of a body in
-    MuJoCo with the one joint here that moves the body of that name. Followers are computed here and
-    may be joints of their own there; so may joints that are locked or fixed here. These must fit
-    within `tolerance`, in radians or metres, and relative to 1 and the number. All arrays may have
-    leading axes. Placements are not compared: the two must be of one description.
+    Parameters
+    ----------
+    system
+        The system.
+    model
+        Model of Pinocchio or MuJoCo, of the same description: placements are not compared.
+    tolerance
+        Largest misfit of followers, in radians or metres, and relative to the number.
+    partial
+        Whether only joints on both sides are converted, such as those of a robot among other
+        bodies. The others are as in a configuration `base` of the side that is asked for, and at
+        rest.
 
-    Joints without a counterpart are refused by name. With `partial` those on both sides are
-    converted alone, such as those of a robot among other bodies: the others are as in a
-    configuration `base` of the side that is asked for, and at rest.
+    Raises
+    ------
+    InputError
+        Joints without a counterpart, by name, unless `partial`; followers that do not fit.
 
-    Errors: `InputError` that names joints without a counterpart, and followers that do not fit.
+    See Also
+    --------
+    kempe.convert.to_pinocchio, kempe.convert.from_mujoco : Single conversions.
+
+    Notes
+    -----
+    Joints are paired by name; a free base also with one of another name; and several joints of a
+    body in MuJoCo with the one joint here that moves the body of that name. Followers are computed
+    here and may be joints of their own there; so may joints that are locked or fixed here. Lengths
+    are in metres. All arrays may have leading axes.
     """
 
     def __init__(
@@ -494,9 +511,25 @@ class Correspondence:
     # ---- configurations
 
     def to_q(self, q: Any, base: ArrayLike | None = None) -> Array:
-        """Convert configurations (..., nq) of the system to those of the model.
+        """Convert configurations of the system to those of the model.
 
-        With `partial`, all other numbers are those of `base`, a configuration of the model.
+        Parameters
+        ----------
+        q
+            Configurations (..., nq) of the system, or values by name.
+        base
+            Configurations of the model with all numbers that the system does not have, if
+            `partial`.
+
+        Returns
+        -------
+        Array
+            Configurations of the model, in its order and with its order of quaternions.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes, and without the `base` that is needed.
         """
         values = self._compute_entries(read_q(self.system, q))
         if base is None and self._whole < self.nq:
@@ -518,10 +551,25 @@ class Correspondence:
         return out
 
     def from_q(self, q: ArrayLike, base: Any = None) -> Array:
-        """Convert configurations of the model to those (..., nq) of the system.
+        """Convert configurations of the model to those of the system.
 
-        With `partial`, all other coordinates are those of `base`, a configuration of the system, or
-        neutral.
+        Parameters
+        ----------
+        q
+            Configurations of the model, with leading axes.
+        base
+            Configurations of the system with all coordinates that the model does not have. Default:
+            neutral.
+
+        Returns
+        -------
+        Array
+            Configurations (..., nq) of the system.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes, followers that do not fit, and numbers that are no cosine and sine.
         """
         values = self._read_entries(q)
         start = self.system.neutral if base is None else read_q(self.system, base)
@@ -599,7 +647,21 @@ class Correspondence:
     # ---- velocities and Jacobians
 
     def to_v(self, q: Any, v: ArrayLike) -> Array:
-        """Convert velocities (..., nv) of the system at `q` to those of the model."""
+        """Convert velocities of the system to those of the model.
+
+        Parameters
+        ----------
+        q
+            Configurations (..., nq) of the system, or values by name.
+        v
+            Velocities (..., nv) at `q`.
+
+        Returns
+        -------
+        Array
+            Velocities of the model, in its order and axes; 0 for joints that the system does not
+            have.
+        """
         v = numbers(v, "v", self.system.nv)
         values = self._compute_entries(read_q(self.system, q))
         out = np.zeros((*_merge_leading_shapes(v.shape[:-1], values), self.nv))
@@ -609,7 +671,25 @@ class Correspondence:
         return out
 
     def from_v(self, q: ArrayLike, v: ArrayLike) -> Array:
-        """Convert velocities of the model at its `q` to those (..., nv) of the system."""
+        """Convert velocities of the model to those of the system.
+
+        Parameters
+        ----------
+        q
+            Configurations of the model, with leading axes.
+        v
+            Velocities of the model at `q`.
+
+        Returns
+        -------
+        Array
+            Velocities (..., nv) of the system.
+
+        Raises
+        ------
+        InputError
+            For velocities of followers that do not fit.
+        """
         v = numbers(v, f"v of the {self.library} model", self.nv)
         values = self._read_entries(q)
         straight = np.broadcast_to(
@@ -627,9 +707,20 @@ class Correspondence:
         return out
 
     def to_jacobian(self, q: Any, jacobian: ArrayLike) -> Array:
-        """Convert Jacobians (..., m, nv) of the system at `q` to those of the model.
+        """Convert Jacobians of the system to those of the model.
 
-        Columns of followers are zero, for those of their leaders hold what they do.
+        Parameters
+        ----------
+        q
+            Configurations (..., nq) of the system, or values by name.
+        jacobian
+            Jacobians (..., m, nv) at `q`, with any number m of rows.
+
+        Returns
+        -------
+        Array
+            Jacobians (..., m, nv of the model). Columns of followers are zero: the columns of their
+            leaders contain their motion.
         """
         J = numbers(jacobian, "jacobian")
         _check_columns(J, self.system.nv)
@@ -641,9 +732,20 @@ class Correspondence:
         return out
 
     def from_jacobian(self, q: ArrayLike, jacobian: ArrayLike) -> Array:
-        """Convert Jacobians of the model at its `q` to those (..., m, nv) of the system.
+        """Convert Jacobians of the model to those of the system.
 
-        Of a model with one velocity Pinocchio gives (m,), which is taken, too.
+        Parameters
+        ----------
+        q
+            Configurations of the model, with leading axes.
+        jacobian
+            Jacobians (..., m, nv of the model) at `q`; also (m,) for a model with one velocity, as
+            Pinocchio returns it.
+
+        Returns
+        -------
+        Array
+            Jacobians (..., m, nv) of the system.
         """
         J = numbers(jacobian, "jacobian")
         if J.ndim == self.nv == 1:

@@ -84,26 +84,107 @@ class ConfigurationSpace(Report):
     # ---- its geometry
 
     def integrate(self, q: Any, v: ArrayLike) -> Array:
-        """Integrate a tangent vector `v` (..., nv) from `q` to a configuration (..., nq)."""
+        """Integrate a constant velocity for a unit of time.
+
+        Parameters
+        ----------
+        q
+            Configurations (..., nq), or values by name.
+        v
+            Tangent vectors (..., nv) in radians and metres.
+
+        Returns
+        -------
+        Array
+            Configurations (..., nq). Loops are not closed again.
+
+        See Also
+        --------
+        difference : The tangent vector between two configurations.
+
+        Notes
+        -----
+        Angles and slides are added; a quaternion is multiplied with the exponential of its angular
+        velocity, in the axes of the body.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> kempe.load("two_link").configuration_space.integrate([0.1, 0.2], [1.0, -1.0])
+        array([ 1.1, -0.8])
+        """
         return integrate_velocity(self.system, q, v)
 
     def difference(self, q0: Any, q1: Any) -> Array:
-        """Compute the shortest tangent vector (..., nv) from `q0` to `q1`.
+        """Compute the shortest tangent vector from `q0` to `q1`.
 
-        Its length is the `distance`.
+        Parameters
+        ----------
+        q0, q1
+            Configurations (..., nq), or values by name.
 
-        ``integrate(q0, difference(q0, q1))`` is `q1`, up to whole turns of unlimited joints.
+        Returns
+        -------
+        Array
+            Tangent vectors (..., nv) in radians and metres. Joints without limits turn the short
+            way.
+
+        See Also
+        --------
+        distance : Its length.
+        integrate : ``integrate(q0, difference(q0, q1))`` is `q1`, up to whole turns.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> kempe.load("two_link").configuration_space.difference([3.0, 0], [-3.0, 0]).round(6)
+        array([0.283185, 0.      ])
         """
         return compute_difference(self.system, q0, q1)
 
     def interpolate(self, q0: Any, q1: Any, t: ArrayLike) -> Array:
-        """Interpolate configurations (..., nq) at fractions `t` (...) from `q0` (0) to `q1` (1)."""
+        """Interpolate between two configurations, along the shortest tangent vector.
+
+        Parameters
+        ----------
+        q0, q1
+            Configurations (..., nq), or values by name.
+        t
+            Fractions (...): 0 for `q0`, 1 for `q1`.
+
+        Returns
+        -------
+        Array
+            Configurations (..., nq). Loops are not closed; see `path`.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> kempe.load("two_link").configuration_space.interpolate([0, 0], [1, 2], [0, 0.5, 1])
+        array([[0. , 0. ],
+               [0.5, 1. ],
+               [1. , 2. ]])
+        """
         return interpolate_configurations(self.system, q0, q1, t)
 
     def distance(self, q0: Any, q1: Any) -> Array:
-        """Compute the length (...) of the straight way from `q0` to `q1`.
+        """Compute the length of the straight way from `q0` to `q1`.
 
-        Unlimited joints turn the short way.
+        Parameters
+        ----------
+        q0, q1
+            Configurations (..., nq), or values by name.
+
+        Returns
+        -------
+        Array
+            Norms (...) of the `difference`, in which radians and metres count alike.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> float(kempe.load("two_link").configuration_space.distance([0, 0], [0.3, 0.4]))
+        0.5
         """
         return compute_distance(self.system, q0, q1)
 
@@ -116,25 +197,147 @@ class ConfigurationSpace(Report):
         *,
         budget: Budget | None = None,
     ) -> Sample:
-        """Draw random configurations (n, nq), uniform in a stated measure; see `spaces.sampling`."""
+        """Draw random configurations within limits and constraints, uniform in a stated measure.
+
+        Parameters
+        ----------
+        n
+            Number of configurations.
+        rng
+            Random generator or seed. Default: a new one for each call.
+        budget
+            `time_limit` (120 s) and `progress(done, n)`.
+
+        Returns
+        -------
+        Sample
+            Configurations `q` (n, nq), their `measure` in words, and whether they are `exact`:
+            independent draws from it.
+
+        Raises
+        ------
+        InputError
+            For `n`, and for slides without limits, by name.
+
+        Notes
+        -----
+        Of a tree the measure is the product of the coordinates, for quaternions Haar's. With loops
+        it is length, area or volume of the closed configurations: of one freedom the arc length of
+        the traced curves, of several a random walk (Zappa, Holmes-Cerfon and Goodman, 2018), which
+        is uniform in the limit of many steps.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> len(kempe.load("two_link").configuration_space.sample(100, rng=0))
+        100
+        """
         from kempe.spaces.sampling import draw_sample
 
         return draw_sample(self.system, n, rng, budget=budget)
 
     def components(self, *, budget: Budget | None = None) -> Components:
-        """Find the connected components, or a lower bound of their number; see `spaces.components`."""
+        """Find the connected components, or a lower bound of their number.
+
+        Parameters
+        ----------
+        budget
+            `starts` (256), `rng` (0) and `time_limit` (120 s).
+
+        Returns
+        -------
+        Components
+            `count`, whether it is proven (`complete`) and why (`reason`), and, with one freedom,
+            the `parts` as curves.
+
+        See Also
+        --------
+        path : A motion between two configurations of one component.
+
+        Notes
+        -----
+        Planar single loops of revolute joints: theorem on long bars (Kapovich and Millson, 1995).
+        Loops of four joints: dead points and limits. Other systems with one freedom are traced from
+        many starts, which gives a lower bound; so do systems with several freedoms.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> components = kempe.load("four_bar").configuration_space.components()
+        >>> components.count, components.complete
+        (2, True)
+        """
         from kempe.spaces.components import find_components
 
         return find_components(self.system, budget=budget)
 
     def path(self, q0: Any, q1: Any, *, budget: Budget | None = None) -> Connection:
-        """Find a continuous motion between two configurations; see `spaces.connection`."""
+        """Find a continuous motion between two configurations.
+
+        It stays within limits and on all constraints.
+
+        Parameters
+        ----------
+        q0, q1
+            Configurations (nq,), or values by name. Loops must be closed.
+        budget
+            `step` (0.1, largest distance between two rows), `rng` (0), `iterations` (4000 branches
+            of random trees) and `time_limit` (120 s).
+
+        Returns
+        -------
+        Connection
+            Configurations `q` (n, nq) and their `length`; empty without a motion. Its `status`
+            says why there is none.
+
+        Raises
+        ------
+        InputError
+            For configurations that are not single, or not closed.
+
+        See Also
+        --------
+        components : The parts that motions cannot leave.
+
+        Notes
+        -----
+        A straight line for trees, the traced curve with one freedom, else two random trees on the
+        closed configurations that grow until they meet (Berenson, Srinivasa, Ferguson and Kuffner,
+        2009).
+
+        Examples
+        --------
+        >>> import kempe
+        >>> bar = kempe.load("four_bar")
+        >>> ends = [bar.assemble({"A": a}, bar.neutral).q for a in (0.3, 1.0)]
+        >>> bool(bar.configuration_space.path(*ends))
+        True
+        """
         from kempe.spaces.connection import find_connection
 
         return find_connection(self.system, q0, q1, budget=budget)
 
     def parametrizations(self, q: Any = None) -> Parametrizations:
-        """Compare descriptions by pairs (r, R) with constraints and by generalized positions."""
+        """Compare descriptions by pairs (r, R) with constraints and by generalized positions.
+
+        Parameters
+        ----------
+        q
+            Configuration (nq,) at which ranks are computed. Default: a closed one.
+
+        Returns
+        -------
+        Parametrizations
+            `rows`: for each choice of coordinates their number, the number of constraints and the
+            rank of these; `n`, the degrees of freedom; `pairs(q)`, positions and orientations of
+            all bodies.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> kempe.load("two_link").configuration_space.parametrizations().n
+        2
+        """
         return compare_parametrizations(self.system, q)
 
     # ---- what it is
