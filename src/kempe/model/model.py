@@ -191,14 +191,49 @@ class Structure:
         return self.coordinates.velocity
 
     def coordinates_of_joint(self, name: str) -> list[str]:
-        """Return the names of all coordinates of a joint, including coupled and locked ones."""
+        """Return the names of all coordinates of a joint, including coupled and locked ones.
+
+        Parameters
+        ----------
+        name
+            Name of the joint.
+
+        Returns
+        -------
+        list of str
+            The name of the joint if it has one coordinate, else 'joint.x', 'joint.y', ...
+
+        Raises
+        ------
+        UnknownNameError
+            For names of no joint, with the nearest names.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> kempe.load("car").structure.coordinates_of_joint("drive")
+        ['drive.x', 'drive.y', 'drive.rz']
+        """
         m = self._mechanism
         return list_coordinate_names(m, m.joints[check_name("joint", name, m.joints, m.name)])
 
     def frame_name(self, frame: FrameLike) -> str:
-        """Return the checked name of a frame or body of the system.
+        """Return the name of a frame or body, checked.
 
-        Errors: `UnknownNameError` with the nearest names.
+        Parameters
+        ----------
+        frame
+            Name of a body or frame, or the object that describes it.
+
+        Returns
+        -------
+        str
+            The name.
+
+        Raises
+        ------
+        UnknownNameError
+            For names of no body and no frame, with the nearest names.
         """
         name = frame if isinstance(frame, str) else getattr(frame, "name", frame)
         if not isinstance(name, str) or name not in self.table.at:
