@@ -149,6 +149,7 @@ def test_the_page_itself_needs_the_token_and_may_load_nothing_from_elsewhere():
             policy = answer.getheader("Content-Security-Policy") or ""
             assert (code == 200) == ("default-src 'none'" in policy) or code == 404
             assert token.encode() not in body
+            assert (b"<title>two_link</title>" in body) == (code == 200)
             connection.close()
 
 

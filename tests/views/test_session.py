@@ -10,10 +10,12 @@ import kempe
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.views.drawing.labels import fit_sentence
+from kempe.views.viewer.first_sight import FILL, fit_camera, is_in_sight
 from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
-from kempe.views.viewer.scene_nodes import RigidParts
+from kempe.views.viewer.scene_nodes import Drawn
 from kempe.views.viewer.session import Session, list_possible_motions
 
+UP = np.array([0.0, 0.0, 1.0])
 NAMES = (
     "panda",
     "ur5",
@@ -342,8 +344,9 @@ def test_what_has_no_freedoms_is_shown_and_says_so():
     m.fixed("screws", m.ground, m.body("figure"), at=(0, 0, 1))
     statue = m.build()
     session = Session(statue)
-    assert np.allclose(RigidParts(statue, statue.neutral).middle[:2], 0.0, atol=0.1)
-    assert RigidParts(statue, statue.neutral).middle[2] > 0.4 and session.frame == "figure"
+    points = Drawn(statue, statue.neutral).points
+    assert np.allclose(points[:, :2].mean(axis=0), 0.0, atol=0.1)
+    assert points[:, 2].max() > 0.8 and session.frame == "figure"
     with pytest.raises(InputError, match="does not move"):
         list(iterate_rounds(session, "singular configurations"))
 
@@ -361,11 +364,7 @@ def test_long_words_fit_the_panel():
 
 
 def test_a_camera_has_all_of_a_motion_in_sight():
-    """A slide by 4 m of a bar of 1 m: the box has both ends, and the camera sees twice as far as to
-    one of them.
-    """
-    from kempe.views.viewer.scene_nodes import Drawn
-
+    """A slide by 4 m of a bar of 1 m: both ends are among the points that are framed."""
     m = kempe.Mechanism("slide", dim=2)
     m.prismatic("x", m.ground, m.body("bar"), axis="x")
     m.frame("end", "bar", at=(1.0, 0.0))
@@ -373,6 +372,83 @@ def test_a_camera_has_all_of_a_motion_in_sight():
     still, moving = (
         Drawn(system, np.zeros(1), way) for way in (None, np.linspace(0.0, 4.0, 100)[:, None])
     )
-    assert abs(moving.middle[0] - still.middle[0]) > 0.4 and moving.size > still.size
+    assert np.ptp(moving.points[:, 0]) > np.ptp(still.points[:, 0]) + 3.9
     ends = moving.rigid.compute_poses(np.array([[0.0], [4.0]]))[:, 1, 0, 3] + [0.0, 1.0]
-    assert (np.abs(ends - moving.middle[0]) <= 0.5 * moving.size).all()
+    assert moving.points[:, 0].min() <= ends.min() and ends.max() <= moving.points[:, 0].max()
+
+
+# ---- what is seen at first
+
+
+@pytest.mark.parametrize("aspect", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("below", [0.0, 0.6])
+def test_the_nearest_camera_has_all_points_in_its_frame(aspect, below):
+    """Projected by a formula of its own: one direction is filled, and nothing is beyond it."""
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(200, 3)) * [3.0, 1.0, 0.5] + [5.0, -2.0, 1.0]
+    camera, at = fit_camera(points, np.array([0.6, -0.85, 0.4]), UP, 1.3, aspect, below)
+    assert is_in_sight(points, camera, at, UP, 1.3, aspect)
+    z = (at - camera) / np.linalg.norm(at - camera)
+    x = np.cross(z, UP) / np.linalg.norm(np.cross(z, UP))
+    deep = (points - camera) @ z
+    half = deep * np.tan(0.65)
+    across = (points - camera) @ x / (half * aspect)
+    # 1 is the upper edge of the picture, -1 the upper edge of what covers it
+    up = ((points - camera) @ np.cross(x, z) / half - below) / (1.0 - below)
+    assert np.abs(across).max() <= FILL + 1e-9 and np.abs(up).max() <= FILL + 1e-9
+    assert any(np.allclose([v.min(), v.max()], [-FILL, FILL]) for v in (across, up))
+    assert not is_in_sight(points + 9.0 * x, camera, at, UP, 1.3, aspect)
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur5", "puma560", "stanford", "panda"])
+def test_arms_begin_inside_their_limits_and_far_from_singular(name):
+    session = Session(kempe.load(name))
+    system = session.system
+    assert np.all((system.lower <= session.q) & (session.q <= system.upper))
+    assert not session.describe_singularity() and session.pose[system.dim - 1, 3] > 0.0
+    J = session._compute_rates(session.q)
+    values = np.linalg.svd(J[: 2 if system.dim == 2 else 6], compute_uv=False)
+    assert values[-1] > 0.02 * values[0]
+
+
+def test_postures_come_before_computed_ones():
+    panda = kempe.load("panda")
+    assert np.array_equal(Session(panda).q, panda.q("ready"))
+    jansen = kempe.load("jansen")
+    assert np.allclose(Session(jansen).q, jansen.q("closed"))
+
+
+def test_what_has_limbs_stands_in_its_neutral_configuration():
+    """Two arms on a torso with three joints each; a hand of three fingers on an arm is no body with
+    limbs.
+    """
+
+    def make_tree(trunk: int) -> kempe.System:
+        m = kempe.Mechanism("tree")
+        at = m.ground
+        for k in range(trunk):
+            body = m.body(f"trunk {k}")
+            m.revolute(f"t{k}", at, body, at=(0, 0, 0.1), axis="y", limits=(-1.0, 2.0))
+            at = body
+        for side in "ab":
+            last = at
+            for k in range(3):
+                body = m.body(f"{side}{k}")
+                m.revolute(f"{side}{k}", last, body, at=(0.2, 0, 0), axis="xyz"[k], limits=(-1, 2))
+                last = body
+        return m.build()
+
+    body, arm = make_tree(1), make_tree(6)
+    assert not Session(body).q.any() and Session(arm).q.any()
+
+
+def test_the_tool_is_dragged_not_a_finger():
+    m = kempe.Mechanism("gripper")
+    m.revolute("q", m.ground, m.body("arm"))
+    m.fixed("wrist", "arm", m.body("robot_hand"))
+    m.prismatic("f", "robot_hand", m.body("hand_left_finger"), axis="x", limits=(0, 0.1))
+    m.frame("camera tool", "arm")
+    m.frame("elbow", "arm")
+    assert Session(m.build()).frames[0] == "robot_hand"
+    m.frame("robot_tcp", "robot_hand")
+    assert Session(m.build()).frames[0] == "robot_tcp"

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import html
+import itertools
 import socket
 import threading
 import time
@@ -27,6 +28,7 @@ from kempe.spatial import Array
 from kempe.views.drawing import style
 from kempe.views.drawing.labels import fit_sentence, shorten_label
 from kempe.views.drawing.solids import parse_colour
+from kempe.views.viewer.first_sight import fit_camera, is_in_sight
 from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, split_poses
 from kempe.views.viewer.server import HOST, PageServer, silence_action
@@ -248,8 +250,8 @@ SLIDE = 0.1
 """Seconds between two updates of sliders while something else is dragged."""
 PAUSE = 0.25
 """Seconds of rest after which the slower sentences are said."""
-SEES = 1.85
-"""Height of the picture, in parts of the farthest that shall be in it."""
+TILT = np.deg2rad(50.0)
+"""Angle up to which a planar system is looked at from aside."""
 DEGREE = np.pi / 180.0
 ROUNDING = 1e-12
 """How far [rad] a limit in degrees may be from the limit by rounding."""
@@ -264,10 +266,13 @@ QUICK = 0.1
 class Page:
     """A page in a browser with its session; a thread answers events one after the other.
 
-    Of events of the same control that wait, only the last is answered.
+    Of events of the same control that wait, only the last is answered. The panel covers the part
+    `below` of the picture's height.
     """
 
-    def __init__(self, viewer: Viewer, client: Any, session: Session, drawn: Drawn):
+    def __init__(
+        self, viewer: Viewer, client: Any, session: Session, drawn: Drawn, below: float = 0.0
+    ):
         self.viewer = viewer
         self.client = client
         self.session = session
@@ -284,6 +289,10 @@ class Page:
         self.searches = Beside(self.post_action, self._show_text)
         self.overlays = Beside(self.post_action, self._show_text)
         self.follow = False
+        self.below = below
+        self.framed = drawn.points
+        if session.system.dim == 2:
+            client.camera.on_update(self.limit_tilt)
         with client.atomic():
             self._build_panel(drawn)
             self._add_gizmo()
@@ -325,6 +334,8 @@ class Page:
                 slow = False
                 with self.client.atomic():
                     self._set_sliders()
+                if self.dragging != "gizmo":
+                    self._keep_in_sight()
                 self._count_freedoms()
                 continue
             with self.session.lock:
@@ -656,11 +667,11 @@ class Page:
             return
 
         def show_overlay(overlay: Overlay, first: bool) -> None:
-            """Show an overlay, and move the camera back for the first one."""
+            """Show an overlay; have the first one in sight."""
             self.session.status = overlay.said
             self.nodes.show_overlay(name, overlay)
-            if first:
-                self._step_back(overlay)
+            if first and len(overlay.extent):
+                self._include_points(np.array(list(itertools.product(*overlay.extent.T))))
 
         def iterate_actions(session: Session) -> Iterator[Action]:
             """Compute overlays round by round, and give the actions that show them."""
@@ -670,19 +681,44 @@ class Page:
         self.session.status = f"{name}: being computed"
         self._begin_job(self.overlays, name, iterate_actions)
 
-    def _step_back(self, overlay: Overlay) -> None:
-        """Move the camera back until an overlay is in the picture."""
-        if not len(overlay.extent):
-            return
+    # ---- the camera
+
+    def _keep_in_sight(self) -> None:
+        """Move the camera if what is shown has left the picture since the page was last at rest."""
+        session = self.session
+        points = self.nodes.drawn.compute_extremes(
+            np.concatenate([session.q[None], session.solutions])
+        )
+        self._include_points(points)
+        self.framed = points
+
+    def _include_points(self, points: Array) -> None:
+        """Move the camera to have points (n, 3) in sight, unless someone looks at a detail."""
         camera = self.client.camera
-        (low, high) = overlay.extent
-        away = camera.position - camera.look_at
-        at = np.array(camera.look_at)
-        far = float(np.linalg.norm(np.maximum(np.abs(high - at), np.abs(low - at))))
-        far *= 0.5 * SEES / np.tan(0.5 * camera.fov)
-        if np.linalg.norm(away) < far:
-            camera.position = at + away * (far / np.linalg.norm(away))
-            camera.look_at = at
+        up = self.nodes.drawn.upright
+        place = np.array(camera.position), np.array(camera.look_at)
+        aspect = camera.image_width / camera.image_height
+        if not is_in_sight(self.framed, *place, up, camera.fov, aspect) or is_in_sight(
+            points, *place, up, camera.fov, aspect
+        ):
+            return
+        every = np.concatenate([self.framed, points])
+        place = fit_camera(every, place[0] - place[1], up, camera.fov, aspect, self.below)
+        with self.client.atomic():
+            camera.position, camera.look_at = place
+
+    def limit_tilt(self, camera: Any) -> None:
+        """Put a camera back that looks at a planar system from too far aside."""
+        away = np.subtract(camera.position, camera.look_at)
+        far = float(np.linalg.norm(away))
+        aside = float(np.linalg.norm(away[:2]))
+        if aside > far * np.sin(TILT) * (1.0 + SAME_VIEW) or away[2] < 0.0:
+            away[:2] *= far * np.sin(TILT) / max(aside, 1e-300)
+            away[2] = far * np.cos(TILT)
+            at = np.array(camera.look_at)
+            with self.client.atomic():
+                camera.position = at + away
+                camera.look_at = at
 
 
 def format_html(text: str) -> str:
@@ -822,16 +858,23 @@ class Viewer:
         high = client.camera.image_height
         below = COVERED if wide <= SHEET else 0.0  # a width of 575 may be reported as 576
         aspect = (wide if below else wide - PANEL) / high
-        if below or aspect < 1.0:
-            client.camera.on_update(partial(self._uncover_system, aspect=aspect, below=below))
-            self.drawn.place_camera(client.camera, aspect, below)
-        self.pages[client.client_id] = Page(self, client, session, self.drawn)
+        client.camera.on_update(partial(self._uncover_system, aspect=aspect, below=below))
+        self.drawn.place_camera(client.camera, aspect, below)
+        self.pages[client.client_id] = Page(self, client, session, self.drawn, below)
 
     def _uncover_system(self, camera: Any, aspect: float, below: float) -> None:
         """Move a camera that is at its initial place so that the panel covers nothing."""
         begin = self.server.initial_camera
-        off = np.linalg.norm([camera.position - begin.position, camera.look_at - begin.look_at])
-        if off <= SAME_VIEW * np.linalg.norm(begin.position - begin.look_at):
+        here, first, wanted = (
+            np.array(place)
+            for place in (
+                (camera.position, camera.look_at),
+                (begin.position, begin.look_at),
+                self.drawn.find_place(aspect, below),
+            )
+        )
+        same = SAME_VIEW * float(np.linalg.norm(first[0] - first[1]))
+        if np.linalg.norm(here - first) <= same < np.linalg.norm(here - wanted):
             self.drawn.place_camera(camera, aspect, below)
 
     def _close_page(self, client: Any) -> None:

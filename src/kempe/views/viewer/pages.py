@@ -12,7 +12,7 @@ from kempe.arrays import read_reals
 from kempe.description.source import expand_path
 from kempe.errors import InputError, format_value, warn
 from kempe.views.viewer.scene_nodes import Drawn, Nodes
-from kempe.views.viewer.server import POLICY, PageServer, silence_action
+from kempe.views.viewer.server import POLICY, PageServer, set_title, silence_action
 from kempe.views.viewer.session import Session
 
 if TYPE_CHECKING:
@@ -83,5 +83,5 @@ def _format_page(session: Session, drawn: Drawn, seconds: float) -> str:
     note = NOTE.format(
         bottom=".7em" if motion is None else "4em", name=html.escape(session.system.name)
     )
-    head, end, rest = text.rpartition("</body>")
+    head, end, rest = set_title(text, session.system.name).rpartition("</body>")
     return (head + note + end + rest).replace("<head>", f"<head>{META}", 1)

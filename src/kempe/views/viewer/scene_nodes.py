@@ -6,6 +6,7 @@ The pictures are cut into parts that move as one, so that an update is a few pos
 from __future__ import annotations
 
 import importlib.util
+import itertools
 import json
 import struct
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from kempe.spatial import Array
 from kempe.views.drawing import style, symbols
 from kempe.views.drawing.scene import Scene, SeenJoint, build_scene
 from kempe.views.drawing.solids import DrawnPiece, SolidRecord, make_fan, parse_colour
+from kempe.views.viewer.first_sight import fit_camera
 from kempe.views.viewer.mesh_files import PlacedMesh, Triangles, read_body_meshes
 from kempe.words import format_count
 
@@ -97,8 +99,7 @@ class RigidParts:
 
     `parts` are at most two of each carrier: what is solid, and what can be looked through. Carriers
     are the links, the ground first, then the rods, then the `slides`. They were drawn at `q` (nq,).
-    `r` is the radius of a hinge [m]; what is solid lies in a box of diagonal `size` [m] about
-    `middle` (3,).
+    `r` is the radius of a hinge [m]; what is solid lies in a box of diagonal `size` [m].
     """
 
     def __init__(self, system: Model, q: Array):
@@ -119,24 +120,17 @@ class RigidParts:
             self.r = SOLID * symbols.choose_radius(scene)
         self.slides = _list_slides(scene, self.r)
         self.parts = self._make_parts(scene)
-        points = np.concatenate(
-            [np.zeros((1, 3)), *(scene.list_points(link) for link in scene.links)]
-        )
-        self.middle, size = self.compute_box(q[None], points)
-        self.size = size or scene.size
+        self.size = self._measure_diagonal() or scene.size
 
-    def compute_box(self, q: Array, points: Array) -> tuple[Array, float]:
-        """Compute centre (3,) and diagonal [m] of the bounding box of all solids at q (n, nq)."""
-        X = self._compute_stretched_maps(q)
+    def _measure_diagonal(self) -> float:
+        """Measure the diagonal [m] of the box about all solids; 0 if there is none."""
+        X = self.compute_stretched_maps(self.q)
         solid = [
-            p.corners @ X[:, p.carrier, :3, :3].swapaxes(-1, -2) + X[:, p.carrier, None, :3, 3]
+            p.corners @ X[p.carrier, :3, :3].T + X[p.carrier, :3, 3]
             for p in self.parts
             if p.colours[:, 3].min() == 1.0
         ]
-        points = np.concatenate([s.reshape(-1, 3) for s in solid]) if solid else points
-        low = points.min(axis=0)
-        high = points.max(axis=0)
-        return 0.5 * (low + high), float(np.linalg.norm(high - low))
+        return float(np.linalg.norm(np.ptp(np.concatenate(solid), axis=0))) if solid else 0.0
 
     def compute_places(self, q: Array) -> tuple[Array, Array]:
         """Compute poses (..., carriers, 4, 4) and lengths (..., carriers) of the carriers at q
@@ -179,7 +173,7 @@ class RigidParts:
         k = carrier - len(self.heads) - len(self.rods)
         return self.slides[k].links if k >= 0 else ()
 
-    def _compute_stretched_maps(self, q: Array) -> Array:
+    def compute_stretched_maps(self, q: Array) -> Array:
         """Compute the affine maps (..., carriers, 4, 4) of the carriers' parts at q (..., nq)."""
         X, lengths = self.compute_places(q)
         X = X.copy()
@@ -198,8 +192,8 @@ class RigidParts:
         second: dict[str, list[DrawnPiece]] = {}
         for piece in self._record_pieces(build_scene(system, other)):
             second.setdefault(piece.name, []).append(piece)
-        X = self._compute_stretched_maps(q)
-        Y = self._compute_stretched_maps(other)
+        X = self.compute_stretched_maps(q)
+        Y = self.compute_stretched_maps(other)
         X_inv = np.linalg.inv(X)
         by_name: dict[str, list[int]] = {}
         for i, piece in enumerate(first):
@@ -477,9 +471,8 @@ OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(75.0)}
 one another."""
 SOME = 48
 """Configurations of a motion by which a camera is placed."""
-ROOM = {2: 1.15, 3: 1.53}
-"""Height of the picture where the camera looks at, in diagonals of the drawing, in the plane and in
-space."""
+DIRECTIONS = np.array([x for x in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(x)])
+"""Directions (26, 3) in which the outermost points of links are found, to frame them."""
 UPWARDS = np.array([0.0, 0.0, 1.0])
 ASIDE = np.array([0.6, -0.85, 0.4])
 """From where planar and spatial systems are looked at."""
@@ -508,14 +501,13 @@ class Drawn:
         self.system = system
         self.q = q
         meshes, self.lost = read_body_meshes(system, meanwhile=lambda: self.rigid)
-        self.middle = self.rigid.middle
-        self.size = self.rigid.size
+        self.shapes = tuple(self._place_shapes(meshes, q))
+        self.extremes = self._find_extremes()
+        shown = q[None]
         if way is not None:
             some = way[np.unique(np.linspace(0, len(way) - 1, SOME).round().astype(int))]
-            self.middle, self.size = self.rigid.compute_box(
-                np.concatenate([q[None], some]), self.middle[None]
-            )
-        self.shapes = tuple(self._place_shapes(meshes, q))
+            shown = np.concatenate([shown, some])
+        self.points = self.compute_extremes(shown)
 
     @cached_property
     def rigid(self) -> RigidParts:
@@ -537,6 +529,25 @@ class Drawn:
             if not covered.intersection(self.rigid.list_links(p.carrier))
         )
         return out + [_make_shape(p) for p in bare]
+
+    def _find_extremes(self) -> list[tuple[int, Array]]:
+        """Find the corners (k, 3) of each carrier that are the farthest ones in some direction."""
+        by: dict[int, list[Array]] = {}
+        for carrier, mesh in self.shapes:
+            corners = mesh.corners
+            by.setdefault(carrier, []).append(
+                corners[np.unique(np.argmax(corners @ DIRECTIONS.T, axis=0))]
+            )
+        return [(k, np.concatenate(corners)) for k, corners in by.items()]
+
+    def compute_extremes(self, q: Array) -> Array:
+        """Compute the outermost points (k, 3) of all that is drawn at configurations (n, nq)."""
+        X = self.rigid.compute_stretched_maps(q)
+        points = [
+            (p @ X[:, k, :3, :3].swapaxes(-1, -2) + X[:, k, None, :3, 3]).reshape(-1, 3)
+            for k, p in self.extremes
+        ]
+        return np.concatenate([np.zeros((1, 3))] if not points else points)
 
     @property
     def lost_sentence(self) -> str:
@@ -580,21 +591,21 @@ class Drawn:
         `aspect` is the width of the picture by its height; of the latter the part `below` is
         covered.
         """
-        flat = self.system.dim == 2
-        away, upright = (UPWARDS, np.array([0.0, 1.0, 0.0])) if flat else (ASIDE, UPWARDS)
-        opening = OPENING[self.system.dim]
-        size = max(self.size, 1e-9)
-        high = ROOM[self.system.dim] * size / min(max(aspect, 0.1), 1.0 - below)
-        far = 0.5 * high / np.tan(0.5 * opening)
-        up = upright - away * float(upright @ away) / float(away @ away)
-        at = (
-            self.middle - 0.5 * below * high * float(np.linalg.norm(away) / np.linalg.norm(up)) * up
-        )
-        camera.fov = opening
+        camera.fov = OPENING[self.system.dim]
         camera.near = self.near
-        camera.far = FAR * size
-        camera.position = tuple(at + far * away)
-        camera.look_at = tuple(at)
+        camera.far = FAR * max(float(np.ptp(self.points, axis=0).max()), 1e-9)
+        camera.position, camera.look_at = self.find_place(aspect, below)
+
+    def find_place(self, aspect: float, below: float) -> tuple[Array, Array]:
+        """Find where a camera is (3,) that has the system in the picture, and where it looks (3,)."""
+        away = UPWARDS if self.system.dim == 2 else ASIDE
+        opening = OPENING[self.system.dim]
+        return fit_camera(self.points, away, self.upright, opening, aspect, below)
+
+    @property
+    def upright(self) -> Array:
+        """Direction (3,) that points upwards in the picture."""
+        return np.array([0.0, 1.0, 0.0]) if self.system.dim == 2 else UPWARDS
 
 
 def _make_shape(part: RigidPart) -> Shape:
@@ -732,11 +743,7 @@ class Nodes:
             self.stretched.setdefault(carrier, []).append(node)
         if drawn.system.dim == 3:
             wide = 4.0 * drawn.rigid.size
-            low = (
-                min(0.0, float(drawn.rigid.middle[2] - 0.5 * drawn.rigid.size))
-                if drawn.rigid.size
-                else 0.0
-            )
+            low = min(0.0, float(drawn.points[:, 2].min()))
             cell = 10.0 ** np.floor(np.log10(max(drawn.rigid.size, 1e-9)))
             scene.add_grid(
                 "/floor",

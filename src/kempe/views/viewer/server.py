@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hmac
+import html
 import http
 import io
 import re
@@ -45,13 +46,24 @@ POLICY = (
 """What a page may load: what comes with it. A browser requests nothing else, whatever a name or a
 file says."""
 
+INDEX = ("", "index.html")
+"""Paths of the page itself."""
+DARK = (
+    "<script>if(matchMedia('(prefers-color-scheme: dark)').matches&&!location.search)"
+    "history.replaceState(null,'','?darkMode')</script>"
+)
+"""Makes a page dark where the browser prefers that, by viser's option in the address."""
+
 Handler = Callable[[Any, Request], "Response | None"]
 
 
 class Guard:
-    """Decides about the requests to one server; `token` is the first part of the path of its page."""
+    """Decides about the requests to one server; `token` is the first part of the path of its page,
+    which has a `title`.
+    """
 
-    def __init__(self) -> None:
+    def __init__(self, title: str = "Kempe") -> None:
+        self.title = title
         self.token = secrets.token_urlsafe(TOKEN_BYTES)
         self.active = False
 
@@ -85,7 +97,10 @@ class Guard:
             return _make_refusal(
                 "the address is incomplete: open the one that Kempe printed, which ends in a token"
             )
-        found = further(connection, dataclasses.replace(request, path=f"/{rest}"))
+        headers = request.headers.copy()
+        if rest in INDEX:  # the page itself, whose text is compressed already
+            headers.pop("Accept-Encoding", None)
+        found = further(connection, dataclasses.replace(request, path=f"/{rest}", headers=headers))
         if found is None and _read_header(request, "Origin") not in (
             f"http://{host}",
             f"https://{host}",
@@ -96,6 +111,10 @@ class Guard:
             found.headers["Content-Security-Policy"] = POLICY.format(connect=connect)
             found.headers["Referrer-Policy"] = "no-referrer"
             found.headers["X-Content-Type-Options"] = "nosniff"
+            if rest in INDEX:
+                found.body = set_title(found.body.decode(), self.title, DARK).encode()
+                del found.headers["Content-Length"]
+                found.headers["Content-Length"] = str(len(found.body))
         return found
 
 
@@ -105,7 +124,7 @@ class PageServer(viser.ViserServer):
     """
 
     def __init__(self, port: int, label: str | None = None):
-        self.guard = guard = Guard()
+        self.guard = guard = Guard(label or "Kempe")
 
         class Sockets(infra.WebsockServer):
             """Viser's server of websockets, which gives its requests to the guard."""
@@ -134,6 +153,11 @@ class PageServer(viser.ViserServer):
     def url(self) -> str:
         """Address of the page, with the token."""
         return f"http://{HOST}:{self.get_port()}/{self.guard.token}"
+
+
+def set_title(page: str, title: str, more: str = "") -> str:
+    """Set the title of a page of viser, and add HTML to its head."""
+    return page.replace("<title>Viser</title>", f"<title>{html.escape(title)}</title>{more}", 1)
 
 
 def silence_action(action: Callable[[], Any]) -> Any:

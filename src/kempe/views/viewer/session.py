@@ -32,7 +32,8 @@ from kempe.model.configurations import (
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.views.drawing.plot_request import read_configuration, read_motion
-from kempe.views.drawing.scene import build_scene, number_links
+from kempe.views.drawing.scene import build_scene
+from kempe.views.viewer.first_sight import choose_first_posture, sort_frames_by_use
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -210,8 +211,12 @@ class Session:
         self.system = system
         self.lock = threading.RLock()
         self.motion = make_motion(system, path)
+        self.frames = sort_frames_by_use(system)
+        self.frame = self.frames[0] if frame is None else system.structure.frame_name(frame)
         self.q = np.array(
-            read_configuration(system, q, None if self.motion is None else self.motion.q)
+            choose_first_posture(system, self.frame)
+            if q is None and self.motion is None
+            else read_configuration(system, q, None if self.motion is None else self.motion.q)
         )
         self.status = ""
         self.target = None
@@ -230,8 +235,6 @@ class Session:
         if q is not None and has_loops(system) and not judge_configurations(system, self.q):
             self._take_answer(assemble(system, start=self.q), "closed from the q given")
         self._choose_chart()
-        self.frames = _sort_names_by_use(system)
-        self.frame = self.frames[0] if frame is None else system.structure.frame_name(frame)
         self.task = self.choose_task()
         self.home = self.q
 
@@ -625,15 +628,3 @@ class Session:
         return "\n\n".join(
             line for line in (closed, self.describe_singularity(), self.status) if line
         )
-
-
-def _sort_names_by_use(system: Model) -> tuple[str, ...]:
-    """Sort the names of frames and bodies by how likely they are to be dragged.
-
-    The last frame on a moving link comes first.
-    """
-    number = number_links(system)
-    own = [(number[f.body] > 0, True, name) for name, f in system.structure.frames.items()]
-    bodies = [(number[name] > 0, False, name) for name in system.body_names[1:]]
-    order = sorted([*reversed(own), *reversed(bodies)], key=lambda x: (not x[0], not x[1]))
-    return tuple(x[2] for x in order) or system.frame_names
