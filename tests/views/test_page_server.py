@@ -420,7 +420,7 @@ def test_the_page_speaks_degrees_where_these_are_wanted(page_of):
             np.array([handle.min, handle.max, handle.value]) * factor, [s.low, s.high, s.value]
         )
         assert handle.label.endswith("[deg]" if s.unit == "rad" else "[m]")
-        page._set_coordinate(s.name, "deg" if s.unit == "rad" else s.unit, handle.max)
+        page._set_coordinate(s.name, handle.max)
         q = dict(zip(system.coordinate_names, page.session.q, strict=True))[s.name]
         assert q == s.high
     page.degrees.value = False

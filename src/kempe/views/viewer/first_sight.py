@@ -83,23 +83,31 @@ def choose_first_posture(system: Model, frame: str) -> Array:
         q = make_q(system, name)
         if judge_configurations(system, q):
             return q
-    if has_loops(system) or system.mechanism.constraints or system.nq != system.nv:
+    if has_loops(system) or system.mechanism.constraints:
         return choose_configuration(system, None)
     inside = bool(np.all((system.lower <= 0.0) & (system.upper >= 0.0)))
     if inside and _count_limbs(system) > 1:
         return system.neutral.copy()
-    return _bend_arm(system, frame)
+    return (
+        _bend_arm(system, frame) if system.nq == system.nv else choose_configuration(system, None)
+    )
+
+
+def map_links_above(system: Model) -> dict[int, int]:
+    """Map the number of each moving link to that of the link before it in the tree."""
+    number = number_links(system)
+    out = dict[int, int]()
+    for body, parent in enumerate(system.parent, 1):
+        above, link = (number[system.body_names[k]] for k in (parent, body))
+        if above != link:
+            out[link] = above
+    return out
 
 
 def _count_limbs(system: Model) -> int:
     """Count the ends of the tree that hang on `LIMB` joints of their own, near the ground."""
-    number = number_links(system)
-    above = dict[int, int]()
-    for body, parent in enumerate(system.parent, 1):
-        a, b = (number[system.body_names[k]] for k in (parent, body))
-        if a != b:
-            above[b] = a
-    children = np.bincount([*above.values()], minlength=len(number) + 1)
+    above = map_links_above(system)
+    children = np.bincount([*above.values()], minlength=len(system.body_names) + 1)
 
     def count_joints(link: int, fork: bool) -> tuple[int, int]:
         """Count the joints from a link to the next fork or to the ground, and return its link."""

@@ -32,7 +32,8 @@ from kempe.views.viewer.first_sight import fit_camera, is_in_sight
 from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, split_poses
 from kempe.views.viewer.server import HOST, PageServer, silence_action
-from kempe.views.viewer.session import KINDS, Session, Slider, list_possible_motions
+from kempe.views.viewer.session import KINDS, Session, list_possible_motions
+from kempe.views.viewer.sliders import MANY, Slider, group_by_limb
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -173,7 +174,7 @@ class Player:
             self.finds: Any = None
             self.time: Any = None
             self.play = gui.add_button("play", color="gray", visible=False)
-        self.play.on_click(self._toggle_playing)
+        self.play.on_click(self.toggle_playing)
         self.make_finds()
         self.make_time()
 
@@ -210,8 +211,10 @@ class Player:
         )
         self.folder.visible = self.play.visible = True
 
-    async def _toggle_playing(self, event: Any) -> None:
-        """Start or stop playing when the button is pressed."""
+    async def toggle_playing(self, event: Any) -> None:
+        """Start or stop playing when the button or its key is pressed."""
+        if self.motion is None:
+            return
         self.playing = not self.playing
         self.play.label = "stop" if self.playing else "play"
         if self.playing:
@@ -244,8 +247,6 @@ class Player:
 
 # The panel, the gizmo and the ghosts of a session, by viser. It only passes on.
 
-STEPS = 2000
-"""Places of a slider."""
 SLIDE = 0.1
 """Seconds between two updates of sliders while something else is dragged."""
 PAUSE = 0.25
@@ -253,8 +254,6 @@ PAUSE = 0.25
 TILT = np.deg2rad(50.0)
 """Angle up to which a planar system is looked at from aside."""
 DEGREE = np.pi / 180.0
-ROUNDING = 1e-12
-"""How far [rad] a limit in degrees may be from the limit by rounding."""
 PARAGRAPH = (
     '<p style="margin:0;padding:0 .75rem .6rem;font-size:14px;overflow-wrap:anywhere">{}</p>'
 )
@@ -285,14 +284,13 @@ class Page:
         self.nodes = Nodes(client.scene, drawn, session.q)
         self.sliders: dict[str, Any] = {}
         self.made: tuple[tuple[str, str], ...] = ()
+        self.made_handles = list[Any]()
         self.arrived = self.slid = 0.0
         self.searches = Beside(self.post_action, self._show_text)
         self.overlays = Beside(self.post_action, self._show_text)
         self.follow = False
         self.below = below
         self.framed = drawn.points
-        if session.system.dim == 2:
-            client.camera.on_update(self.limit_tilt)
         with client.atomic():
             self._build_panel(drawn)
             self._add_gizmo()
@@ -384,8 +382,9 @@ class Page:
                 continue
             # an angle without limits: the slider goes along
             if not handle.min <= slider.value <= handle.max:
-                handle.min = slider.low
-                handle.max = slider.high
+                self.made = ()
+                self._make_sliders()
+                return
             handle.value = slider.value
 
     def _draw_miss(self) -> None:
@@ -408,8 +407,11 @@ class Page:
         self.counted = gui.add_html("")
         self.said = gui.add_html("")
         self.folder = gui.add_folder("coordinates")
+        with self.folder:
+            self.filter = gui.add_text("filter", "", visible=False)
         gos = {name: lambda n=name: session.go_to_posture(n) for name in session.postures}
-        self.add_buttons("go to", {"random": session.go_to_random} | gos)
+        actions = {"reset": session.reset, "random": session.go_to_random}
+        self.add_buttons("go to", actions | gos)
         with gui.add_folder("frame"):
             self.frame = gui.add_dropdown("frame", session.frames, initial_value=session.frame)
             self.task = gui.add_dropdown(
@@ -438,9 +440,27 @@ class Page:
             self.make_callback("names", lambda: self.nodes.show_names(self.names.value))
         )
         self.degrees.on_update(self.make_callback("degrees", self._make_sliders))
+        self.filter.on_update(self.make_callback("filter", self._make_sliders))
         self.axes.on_update(
             self.make_callback("axes", lambda: self.nodes.show_axes(self.axes.value))
         )
+
+        self._add_keys()
+
+    def _add_keys(self) -> None:
+        """Add the keys of the keyboard, which are listed by Ctrl-K."""
+        keys: dict[Any, tuple[str, Action]] = {
+            "R": ("go to random", self.session.go_to_random),
+            "H": ("go to the first configuration", self.session.reset),
+            "N": ("next solution", lambda: self._show_next_configuration("solution")),
+        }
+        if has_loops(self.session.system):
+            keys["M"] = "next assembly mode", lambda: self._show_next_configuration("mode")
+        for key, (label, action) in keys.items():
+            command = self.client.gui.add_command(label, hotkey=key)
+            command.on_trigger(self.make_callback(label, action))
+        command = self.client.gui.add_command("play or stop the motion", hotkey="space")
+        command.on_trigger(self.player.toggle_playing)
 
     def add_buttons(self, label: str, actions: dict[str, Action]) -> Any:
         """Add buttons in a row, each with its action; returns the group."""
@@ -475,42 +495,60 @@ class Page:
         session = self.session
         gui = self.client.gui
         self.revision = session.revision
-        wanted = tuple(map(self._convert_slider, session.sliders))
-        made = tuple((s.name, s.unit) for s in wanted)
+        every = session.sliders
+        text = self.filter.value.strip().lower()
+        self.filter.visible = len(every) >= MANY
+        wanted = [s for s in every if text in s.name.lower()] if self.filter.visible else every
+        made = tuple((s.name, self._convert_slider(s).unit) for s in wanted)
         if made == self.made:
             return
         self.made = made
-        for handle in self.sliders.values():
+        for handle in self.made_handles:
             handle.remove()
+        self.made_handles = []
         self.sliders = {}
-        with self.folder:
-            for s in wanted:
-                handle = gui.add_slider(
-                    f"{shorten_label(s.name)} [{s.unit}]",
-                    s.low,
-                    s.high,
-                    _choose_slider_step(s),
-                    s.value,
-                )
-                self.sliders[s.name] = handle
-                handle.on_update(
-                    self.make_callback(
-                        s.name,
-                        lambda n=s.name, u=s.unit, h=handle: self._set_coordinate(n, u, h.value),
-                    )
-                )
+        groups = [("", wanted)]
+        if len(wanted) >= MANY:
+            groups = group_by_limb(session.system, wanted)
+        for k, (name, group) in enumerate(groups):
+            folder = self.folder
+            if len(groups) > 1:
+                with self.folder:
+                    label = shorten_label(name)
+                    folder = gui.add_folder(label, expand_by_default=k == 0)
+                self.made_handles.append(folder)
+            with folder:
+                for slider in map(self._convert_slider, group):
+                    self._add_slider(slider, len(groups) == 1)
 
-    def _set_coordinate(self, name: str, unit: str, value: float) -> None:
+    def _add_slider(self, s: Slider, alone: bool) -> None:
+        """Add a slider to the open folder; `alone`: it is removed on its own."""
+        handle = self.client.gui.add_slider(
+            f"{shorten_label(s.name)} [{s.unit}]", s.low, s.high, s.step, s.value, marks=s.marks
+        )
+        handle.precision = s.digits
+        self.sliders[s.name] = handle
+        if alone:
+            self.made_handles.append(handle)
+        handle.on_update(
+            self.make_callback(s.name, lambda: self._set_coordinate(s.name, handle.value))
+        )
+
+    def _set_coordinate(self, name: str, value: float) -> None:
         """Set a coordinate to the value of its slider.
 
-        An end of a slider in degrees is the limit, without rounding.
+        An end of the slider is the limit, without rounding.
         """
-        if unit == "deg":
-            ends = (s for s in self.session.sliders if s.name == name)
-            value = next(
-                (x for s in ends for x in (s.low, s.high) if abs(value * DEGREE - x) < ROUNDING),
-                value * DEGREE,
-            )
+        for slider in self.session.sliders:
+            if slider.name == name:
+                shown = self._convert_slider(slider)
+                ends = {shown.low: slider.low, shown.high: slider.high}
+                near = min(ends, key=lambda end: abs(end - value))
+                if abs(near - value) <= 0.5 * shown.step:
+                    value = ends[near]
+                elif shown.unit == "deg":
+                    value *= DEGREE
+                break
         self.session.set_coordinate(name, float(value))
 
     def _convert_slider(self, slider: Slider) -> Slider:
@@ -729,12 +767,6 @@ def format_html(text: str) -> str:
     return "".join(PARAGRAPH.format(html.escape(part)) for part in text.split("\n\n") if part)
 
 
-def _choose_slider_step(slider: Slider) -> float:
-    """Choose the step of a slider: a round number, with at least `STEPS` steps."""
-    wide = max(slider.high - slider.low, 1e-9)
-    return float(10.0 ** np.floor(np.log10(wide / STEPS)))
-
-
 # ---- showing and serving
 
 PORT = 8080
@@ -860,7 +892,9 @@ class Viewer:
         aspect = (wide if below else wide - PANEL) / high
         client.camera.on_update(partial(self._uncover_system, aspect=aspect, below=below))
         self.drawn.place_camera(client.camera, aspect, below)
-        self.pages[client.client_id] = Page(self, client, session, self.drawn, below)
+        page = self.pages[client.client_id] = Page(self, client, session, self.drawn, below)
+        if self.system.dim == 2:
+            client.camera.on_update(page.limit_tilt)
 
     def _uncover_system(self, camera: Any, aspect: float, below: float) -> None:
         """Move a camera that is at its initial place so that the panel covers nothing."""

@@ -30,10 +30,11 @@ from kempe.model.configurations import (
     sample_configurations,
 )
 from kempe.numerics.rank import Level, Spectrum
-from kempe.spatial import Array
+from kempe.spatial import Array, log_so3
 from kempe.views.drawing.plot_request import read_configuration, read_motion
 from kempe.views.drawing.scene import build_scene
 from kempe.views.viewer.first_sight import choose_first_posture, sort_frames_by_use
+from kempe.views.viewer.sliders import Slider
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -180,20 +181,14 @@ APART = 1e-4
 configurations."""
 SINGULAR = 1e-3
 """Least rate of a frame, as a part of the largest, below which it counts as singular."""
+NEAR_SINGULAR = 0.05
+"""Conditioning of the sliders below which a page says so."""
+CLOSED = 1e-8
+"""Residual up to which loops are closed."""
 TRIES = 20
 """Random starts from which loops are closed, at most."""
 PATIENCE = 3.0
 """Seconds that the search for other solutions and modes of loops may take."""
-
-
-class Slider(NamedTuple):
-    """A coordinate that can be set: its unit "rad" or "m", its ends, and its value."""
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    value: float
 
 
 class Session:
@@ -231,6 +226,14 @@ class Session:
             evaluate_constraints(system, system.neutral, False, True)[0].size
         )
         self._units = list_units(system)
+        joints = system.mechanism.joints
+        self._driven = tuple(
+            name
+            for joint in system.joint_names
+            if joints[joint].actuated and not self._bare
+            for name in system.structure.coordinates_of_joint(joint)
+            if name in system.structure.velocity_names
+        )
         self.rng = np.random.default_rng(0)
         if q is not None and has_loops(system) and not judge_configurations(system, self.q):
             self._take_answer(assemble(system, start=self.q), "closed from the q given")
@@ -309,7 +312,10 @@ class Session:
     def _choose_chart(self) -> None:
         """Choose independent coordinates at this configuration, unless its loops are open."""
         with self._catch_refusals():
-            self.chart: Chart | None = independent(self.system, self.q)
+            try:  # by the motors, where these are independent and enough
+                self.chart: Chart | None = independent(self.system, self.q, self._driven)
+            except InputError:
+                self.chart = independent(self.system, self.q)
             self.revision += 1
             if not self.chart.useful and not self.status:
                 self.status = f"{self.system.name} has no freedoms: nothing moves"
@@ -406,11 +412,26 @@ class Session:
             answer = ik(self.system, X, self.frame, self.q, task=self.task, budget=budget)
             found = self._take_answer(answer, "reached")
             self.target = None if found else X
+            if not found:
+                self.status = self._describe_miss(X)
             if self.chart is not None and not self.chart.valid(self.q):
                 self._choose_chart()
             self._forget_solutions()
             return found
         return False
+
+    def _describe_miss(self, X: Array) -> str:
+        """Describe how far the nearest configuration stays from a target (4, 4)."""
+        from kempe.views.drawing.page import format_length
+
+        off = float(np.linalg.norm(X[:3, 3] - self.pose[:3, 3]))
+        parts = [f"{format_length(float(f'{off:.2g}'))} away"] * (off > APART * self.size)
+        if self.task == "pose":
+            angle = float(np.linalg.norm(log_so3(self.pose[:3, :3].T @ X[:3, :3])))
+            parts += [f"turned by {np.rad2deg(angle):.2g}°"] * (angle > APART)
+        one = self.chart is not None and len(self.chart.useful) == 1
+        follows = f"{self.frame} follows its curve (1 freedom)" if one else "out of reach"
+        return f"{follows}: nearest is {' and '.join(parts) or 'shown'}"
 
     def find_other_configurations(self, kind: str = "solution") -> int:
         """Find the other configurations of a kind; return their number."""
@@ -525,6 +546,10 @@ class Session:
             said = answer.status
         self.status = f"none of {TRIES} random starts closed the loops: {said}"
 
+    def reset(self) -> None:
+        """Go to the first configuration."""
+        self._set_configuration(self.home, "as at first")
+
     def go_to_posture(self, name: str) -> None:
         """Go to a posture of the model, or to 'neutral' or 'mid', and close the loops."""
         own = {"neutral": self.system.neutral, "mid": compute_mid_configuration(self.system)}
@@ -603,14 +628,9 @@ class Session:
         # where loops are open, which `compose_text` tells by the residual
         with contextlib.suppress(InputError):
             quality = self.chart.condition(self.q)
-            word = (
-                "singular"
-                if quality < 1e-6
-                else "near a singularity"
-                if quality < 0.05
-                else "regular"
-            )
-            return f"{word} (conditioning {quality:.2g})"
+            if quality < NEAR_SINGULAR:
+                word = "singular" if quality < 1e-6 else "near a singular configuration"
+                return f"{word} (conditioning {quality:.2g}): {', '.join(self.chart.useful)}"
         return ""
 
     def describe_mobility(self) -> str:
@@ -619,12 +639,20 @@ class Session:
 
         with self._catch_refusals():
             found = mobility(self.system, self.q)
-            return f"{found.dof} degree{'s' * (found.dof != 1)} of freedom: {found.status}"
+            if found.dof is None:
+                return found.status
+            said = f"{format_count(found.dof, 'degree')} of freedom"
+            notes = [f"Grübler count: {found.gruebler}"] * (found.gruebler != found.dof)
+            notes += [format_count(found.redundant or 0, "redundant constraint")] * bool(
+                found.redundant
+            )
+            return said + f" ({'; '.join(notes)})" * bool(notes)
         return ""
 
     def compose_text(self) -> str:
-        """Compose the sentences of the page: residual, singularity and status, as paragraphs."""
-        closed = f"closed to {self.compute_residual():.1e}" if self._closes else ""
+        """Compose the sentences of the page, as paragraphs: loops that are open, singularity, status."""
+        error = self.compute_residual() if self._closes else 0.0
+        closed = f"the loops are open (residual {error:.2g})" if error > CLOSED else ""
         return "\n\n".join(
             line for line in (closed, self.describe_singularity(), self.status) if line
         )
