@@ -491,6 +491,7 @@ def test_sliders_of_many_joints_stand_in_limbs():
         for k in range(count):
             m.revolute(f"{limb}_{k}", last, m.body(f"{limb} {k}"), axis="y", at=(0.1, 0, 0))
             last = f"{limb} {k}"
+    m.revolute("wheel", m.ground, m.body("wheel link"), axis="y")
     session = Session(m.build())
     groups = group_by_limb(session.system, session.sliders)
     assert [(name, len(group)) for name, group in groups] == [
@@ -498,6 +499,7 @@ def test_sliders_of_many_joints_stand_in_limbs():
         ("head", 2),
         ("arm left", 5),
         ("arm right", 5),
+        ("others", 1),
     ]
 
 

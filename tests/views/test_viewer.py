@@ -611,7 +611,7 @@ def test_a_narrow_page_looks_past_the_panel_from_where_pages_begin(panel):
         viewer._uncover_system(camera, *panel)
         away = np.subtract(camera.position, camera.look_at)
         far = np.subtract(begin.position, begin.look_at)
-        assert np.linalg.norm(away) > 2.0 * np.linalg.norm(far) and np.allclose(
+        assert np.linalg.norm(away) > 1.5 * np.linalg.norm(far) and np.allclose(
             np.cross(away, far), 0.0
         )
 
@@ -734,6 +734,58 @@ def test_motions_are_found_by_a_button_and_played(browser, name, motion):
         rows = seen.page.session.motion.q
         assert np.all(judge_configurations(system, np.array(passed)).holds)
         assert all(np.abs(rows - q).max(axis=1).min() < 1e-9 for q in passed[len(passed) // 2 :])
+        seen.tab.close()
+
+
+@pytest.mark.slow
+def test_keys_go_to_configurations_and_play(browser):
+    """By the keyboard only, but for the button that finds the motion, which keeps the focus."""
+    bar = kempe.load("four_bar")
+    with bar.show(port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer)
+        assert seen.tab.title() == "four_bar"
+        first = viewer.q
+        seen.tab.keyboard.press("r")
+        assert seen.until(lambda: not np.allclose(viewer.q, first))
+        seen.tab.keyboard.press("h")
+        assert seen.until(lambda: np.array_equal(viewer.q, first))
+        seen.tab.keyboard.press("m")
+        assert seen.until(lambda: not np.allclose(viewer.q, first))
+        seen.press("whole motion")
+        player = seen.page.player
+        assert seen.until(lambda: player.motion is not None)
+        for plays in (True, False):
+            seen.tab.keyboard.press("Space")
+            assert seen.until(lambda wanted=plays: player.playing == wanted)
+        seen.press("play")
+        assert seen.until(lambda: player.playing)
+        seen.tab.keyboard.press("Space")
+        assert seen.until(lambda: not player.playing)
+        seen.tab.wait_for_timeout(300)
+        assert not player.playing
+        seen.tab.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ur5", "jansen", "stewart", "panda"])
+def test_what_is_drawn_is_framed_and_stays_in_sight(browser, name):
+    """It takes 25 to 80 % of the picture's width or height, and is in it after random jumps."""
+    with kempe.load(name).show(port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer)
+        camera = seen.page.client.camera
+
+        def measure():  # corners of the box about what is drawn, in parts of the picture
+            points = viewer.drawn.compute_extremes(viewer.q[None])
+            at = np.array([seen.at(p) for p in points])
+            at /= [camera.image_width, camera.image_height]
+            return at.min(axis=0), at.max(axis=0)
+
+        assert seen.until(lambda: 0.25 < np.ptp(measure(), axis=0).max() < 0.8)
+        for _ in range(3):
+            q = viewer.q
+            seen.tab.keyboard.press("r")
+            assert seen.until(lambda old=q: not np.allclose(viewer.q, old))
+            assert seen.until(lambda: measure()[0].min() > -0.01 and measure()[1].max() < 1.01)
         seen.tab.close()
 
 

@@ -466,7 +466,7 @@ ABOVE = 3.0
 """Height of lines above a planar drawing, in radii of a pin."""
 PALE = (225, 228, 232)
 """Colour of the lines of the floor."""
-OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(75.0)}
+OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(45.0)}
 """Angle of the camera: what is planar is seen nearly without perspective, so that its layers lie on
 one another."""
 SOME = 48

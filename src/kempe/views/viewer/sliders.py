@@ -63,7 +63,7 @@ def format_end(value: float, unit: str) -> str:
 def group_by_limb(system: Model, sliders: Sequence[Slider]) -> list[tuple[str, list[Slider]]]:
     """Group sliders by the limb that their joint moves: a part of the tree without forks.
 
-    Each group has the words with which its names begin.
+    Each group has the words with which its names begin; joints that are alone are the last group.
     """
     number = number_links(system)
     above = map_links_above(system)
@@ -78,7 +78,9 @@ def group_by_limb(system: Model, sliders: Sequence[Slider]) -> list[tuple[str, l
         while above.get(link) in above and children[above[link]] == 1:
             link = above[link]
         groups.setdefault(link, []).append(slider)
-    return [(_name_group([s.name for s in group]), group) for group in groups.values()]
+    alone = [group[0] for group in groups.values() if len(group) == 1]
+    named = [(_name_group([s.name for s in g]), g) for g in groups.values() if len(g) > 1]
+    return [*named, ("others", alone)] if alone else named
 
 
 def _name_group(names: Sequence[str]) -> str:
@@ -89,4 +91,4 @@ def _name_group(names: Sequence[str]) -> str:
         if len({*column}) > 1 or column[0].isdigit():
             break
         common.append(column[0])
-    return " ".join(common) or f"{names[0]} to {names[-1]}"
+    return " ".join(common) or f"{names[0]}, ..."
