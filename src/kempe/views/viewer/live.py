@@ -291,6 +291,7 @@ class Page:
         self.follow = False
         self.below = below
         self.framed = drawn.points
+        self.upright = False
         with client.atomic():
             self._build_panel(drawn)
             self._add_gizmo()
@@ -750,7 +751,9 @@ class Page:
         away = np.subtract(camera.position, camera.look_at)
         far = float(np.linalg.norm(away))
         aside = float(np.linalg.norm(away[:2]))
-        if aside > far * np.sin(TILT) * (1.0 + SAME_VIEW) or away[2] < 0.0:
+        if aside <= far * np.sin(TILT) * (1.0 + SAME_VIEW) and away[2] >= 0.0:
+            self.upright = True
+        elif self.upright:  # else it is still where browsers begin
             away[:2] *= far * np.sin(TILT) / max(aside, 1e-300)
             away[2] = far * np.cos(TILT)
             at = np.array(camera.look_at)
