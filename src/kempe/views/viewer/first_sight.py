@@ -16,6 +16,7 @@ from kempe.model.configurations import (
     make_q,
     sample_configurations,
 )
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.views.drawing.plot_request import choose_configuration
 from kempe.views.drawing.scene import number_links
@@ -164,9 +165,9 @@ def _measure_regularity(system: Model, q: Array, frame: str, scale: float) -> Ar
     J = jacobian(system, q, frame)
     J[:, :3] /= scale
     J = J[:, :2] if system.dim == 2 else J
-    values = np.linalg.svd(J, compute_uv=False)
-    rank = int(np.count_nonzero(values > 1e-6 * values[:, :1], axis=1).max())
-    return values[:, max(rank, 1) - 1] / np.maximum(values[:, 0], 1e-300)
+    spectrum = Spectrum(J)
+    rank = int(spectrum.compute_ranks(Level.GENERIC).max())
+    return spectrum.values[:, max(rank, 1) - 1] / spectrum.largest
 
 
 # ---- the camera
