@@ -888,7 +888,7 @@ def descend_to_second_order(
     none lowers its error; u are those of first order.
     """
     n = own.n
-    before = t.requested[level] * t.requested[level]
+    before = compute_level_square(own, rows, level, u, False)  # exactly as below: rounding cancels
     compute_hessian(own, loops, d, t, q, rows, aside, level, u, low, high)
     size = 0.0
     for i in range(n * n):
