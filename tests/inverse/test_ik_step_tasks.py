@@ -146,3 +146,13 @@ def test_tasks_without_loops_never_reach_the_general_solver(panda, monkeypatch):
         ]
         q = panda.ik_step(q, wanted, dt=0.05).q
     assert np.abs(panda.fk(q, "panda_link7")[:3, 3] - goal).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["joint_helical", "joint_planar"])
+def test_tasks_that_nothing_moves_move_nothing(name):
+    """The only axis of these joints is the one that points: no motion changes what is missed."""
+    s = kempe.load(name)
+    rng = np.random.default_rng(0)
+    for q in s.random(rng, 20):
+        wanted = tasks.Pointing("body", rng.normal(size=3))
+        assert not s.ik_step(q, wanted, dt=0.01).velocity.any()
