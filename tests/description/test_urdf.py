@@ -303,6 +303,29 @@ def test_mimic_needs_one_coordinate(kind: str):
         read_urdf(text)
 
 
+@pytest.mark.parametrize(
+    ("multiplier", "upper", "noted"), [(-1, 0.5, True), (1, 0.5, False), (-1, 0.0, False)]
+)
+def test_limits_of_followers_that_block_their_leader_are_noted(multiplier, upper, noted):
+    limit = '<limit lower="0" upper="{}" effort="1" velocity="1"/>'
+    text = robot(
+        joint("a", limit.format(0.5), "revolute"),
+        joint(
+            "b",
+            f'{limit.format(upper)}<mimic joint="a" multiplier="{multiplier}"/>',
+            "revolute",
+            "arm",
+            "hand",
+        ),
+    )
+    m = read_urdf(text)
+    said = "joint 'b': its limits leave nothing but 0 to 'a', which it follows by -1"
+    assert any(said in note for note in m.notes) == noted
+    system = m.build()
+    assert (system.upper[0] == 0.0) == (multiplier < 0)
+    assert not np.signbit(system.upper[0])
+
+
 def test_mimic_of_a_fixed_joint_is_noted():
     m = read_urdf(robot(joint("a"), joint("b", '<mimic joint="a"/>', "fixed", "arm", "hand")))
     assert not m.couplings and "its <mimic> is not used" in m.notes[0]

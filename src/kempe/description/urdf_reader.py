@@ -561,7 +561,31 @@ def _add_mimics(urdf: _Urdf, mechanism: Mechanism) -> None:
             if factor and offset:
                 with findings.record_errors(subject, mimic.location):
                     mechanism.couple(name, {leader: factor[0]}, offset[0], where=mimic.location)
+                if {name, leader} <= mechanism.joints.keys() and name in mechanism.couplings:
+                    _note_blocked_leader(mechanism, name, leader, (factor[0], offset[0]), findings)
     _refuse_cycles(follows, findings)
+
+
+def _note_blocked_leader(
+    m: Mechanism, name: str, leader: str, law: tuple[float, float], findings: Findings
+) -> None:
+    """Note a follower whose limits leave a single value to the joint that it follows.
+
+    `law` is the multiplier and the offset by which it follows.
+    """
+    factor, offset = law
+    own = m.joints[leader].limits.get("")
+    limits = m.joints[name].limits.get("")
+    if not factor or own is None or limits is None or own[0] == own[1] or limits[0] == limits[1]:
+        return
+    low, high = sorted((x - offset) / factor for x in limits)
+    if max(low, own[0]) == min(high, own[1]):
+        findings.add_note(
+            f"its limits leave nothing but {max(low, own[0]) + 0.0:g} to {leader!r}, which it "
+            f"follows by {factor:g}: neither of them can move",
+            f"joint {name!r}",
+            m.couplings[name].where,
+        )
 
 
 SEVERAL = ("planar", "floating", "spherical", "ball", "universal")

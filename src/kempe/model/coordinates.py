@@ -457,7 +457,8 @@ def _collect_limits(
                         )
                     continue
                 m = follower.multiplier
-                low, high = sorted(((low - follower.offset) / m, (high - follower.offset) / m))
+                # + 0.0: a bound of zero has no sign
+                low, high = sorted((x - follower.offset) / m + 0.0 for x in (low, high))
                 name = follower.source
                 fast = fast / abs(m)
             i = index[name]
