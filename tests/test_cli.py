@@ -333,6 +333,7 @@ def test_fk_of_bad_rows():
         (b"1,2\n3\n", ":2: 1 value;"),
         (b"1,2\n3,x\n", ":2: 'x'"),
         (b"1,x\n", ":1: 'x'"),
+        (b"shoulder;elbow\n0,1;0,2\n", "commas separate columns, and a point is the decimal mark"),
         (b"shoulder,arm\n1,2\n", "'arm'"),
         (b"elbow,elbow\n1,2\n", "twice"),
         (b"1,2,3\n", "arm needs 2"),

@@ -308,7 +308,8 @@ def _explain_refusal(x: Any) -> str:
     whole: Any = x
     labels = list(getattr(whole, "_fields", ())) if isinstance(x, tuple) else _find_labels(whole)
     if labels and any(isinstance(label, str) for label in labels):
-        return f"is a {kind} with names, which have no meaning here"
+        plain = " (to_numpy() gives the numbers, in its order)" * hasattr(whole, "to_numpy")
+        return f"is a {kind} with names, which have no meaning here{plain}"
     if labels and hasattr(whole, "columns") and labels != list(range(len(labels))):
         return f"is a {kind} whose columns are {format_value(labels)}, which have no meaning here"
     if not isinstance(whole, (np.generic, str, bytes)):

@@ -121,10 +121,15 @@ def test_a_coordinate_keeps_its_column():
     np.testing.assert_allclose(columns[0, 0], np.pi / 2)
 
 
-def test_a_data_frame_has_masks():
+def test_a_data_frame_has_masks_and_is_read_as_configurations():
     pytest.importorskip("pandas")
-    frame = kempe.load("two_link").ik([[0.6, 0.3], [5, 5]], "e").to_dataframe()
+    arm = kempe.load("two_link")
+    answer = arm.ik([[0.6, 0.3], [5, 5]], "e")
+    frame = answer.to_dataframe()
     assert len(frame[frame.success]) == 1 and frame.target_x.tolist() == [0.6, 5.0]
+    np.testing.assert_array_equal(arm.fk(frame, "e"), arm.fk(answer.q, "e"))
+    with pytest.raises(kempe.errors.UnknownNameError, match="'success'"):
+        arm.fk(frame.drop(columns="q1"), "e")
 
 
 def test_frames_of_a_motion_are_chosen_when_it_is_saved(tmp_path: Path):

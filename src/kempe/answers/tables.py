@@ -146,8 +146,10 @@ def parse_rows(path: Path, lines: Sequence[tuple[int, str]], width: int) -> Arra
     for row, (line, text) in zip(out, lines, strict=True):
         cells = text.split(",")
         if len(cells) != width:
+            marks = "; commas separate columns, and a point is the decimal mark" * (";" in text)
             raise InputError(
                 f"{path}:{line}: {format_count(len(cells), 'value')}; the first line has {width}"
+                f"{marks}"
             )
         row[:] = convert_texts([_strip_quotes(cell) or "nan" for cell in cells], f"{path}:{line}")
     return out

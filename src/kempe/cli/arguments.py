@@ -183,9 +183,7 @@ def _parse_values(system: System, text: str, degrees: bool) -> Array | dict[str,
         names, rows = read_table(expand_path(text))
         if names is not None:
             given = parse_known_values(system, [text], degrees, frames=True)
-            if set(system.coordinate_names) <= set(given):
-                own = {*system.coordinate_names, *system.structure.couplings}
-                given = {name: x for name, x in given.items() if name in own}
+            given = configurations.drop_other_columns(system, given)
             return dict(configurations.compute_source_values(system, given))
     elif "=" in text:
         return parse_known_values(system, text.split(","), degrees)

@@ -97,6 +97,8 @@ def _read_configuration(
         if q.__class__ is not np.ndarray or q.dtype.names:
             coordinates = read_mapping(q)
             if coordinates is not None:
+                if hasattr(q, "columns"):
+                    coordinates = drop_other_columns(system, coordinates)
                 return complete(system, coordinates)
             rows = list_named_rows(q)
             if rows is not None:
@@ -214,6 +216,18 @@ def list_sources(system: Model, names: Iterable[str]) -> tuple[str, ...]:
     couplings = system.structure.couplings
     sources = (couplings[name].source if name in couplings else name for name in names)
     return tuple(dict.fromkeys(source for source in sources if source is not None))
+
+
+def drop_other_columns(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Drop columns that are no coordinates from a table that has all coordinates.
+
+    The tables of answers have further columns. A table without all coordinates is returned as it
+    is: a name in it may be mistyped.
+    """
+    if not given.keys() >= set(system.coordinate_names):
+        return given
+    own = {*system.coordinate_names, *system.structure.couplings}
+    return {name: x for name, x in given.items() if name in own}
 
 
 def compute_source_values(system: Model, given: Mapping[str, Any]) -> Mapping[str, Any]:
