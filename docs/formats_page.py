@@ -59,7 +59,7 @@ urdf = kempe.load(arm.save("puma560.urdf"))  # without postures
 q = urdf.random(0)
 print(abs(urdf.fk(q, "tool") - arm.build().fk(q, "tool")).max() < 1e-12)
 try:
-    kempe.read("four_bar").save("four_bar.urdf")
+    kempe.read("car").save("car.urdf")
 except kempe.KempeError as error:
     print(error)
 ```
@@ -67,8 +67,8 @@ except kempe.KempeError as error:
 ```text
 True
 True
-four_bar.toml:44: body 'rocker': 2 joints lead to it ('C', 'D'): a loop, or a joint given from child to
-parent; in URDF one joint leads to each body, and none to the ground
+car.toml:20: constraint 'rear axle': a no_sideslip does not exist in URDF; URDF has joints, and Drake two points that
+coincide; a .toml file can hold it
 ```
 
 xacro is a program that writes URDF: `kempe.load("robot.urdf.xacro", xacro=True)` runs it, if you trust it, in a process

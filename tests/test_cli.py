@@ -366,8 +366,11 @@ def test_convert():
     assert Result("convert", "arm.urdf", "arm.toml").code == 0
     again = Result("convert", "arm.toml", "-o", "again.urdf", "--json").json()
     assert again["written"] == ["again.urdf"]
-    loop = Result("convert", "fourbar.toml", "x.urdf")
-    assert loop.code == 2 and "loop" in loop.err and not Path("x.urdf").exists()
+    assert Result("convert", "fourbar.toml", "loop.urdf").code == 0
+    assert len(kempe.load("loop.urdf").structure.closures) == 1
+    refused = Result("convert", "car", "x.urdf")
+    assert refused.code == 2 and "does not exist in URDF" in refused.err
+    assert not Path("x.urdf").exists()
     q = np.array([0.3, 0.9])
     for path in ("arm.urdf", "arm.toml", "again.urdf"):
         np.testing.assert_allclose(kempe.load(path).fk(q, "tip")[:2, 3], tip(*q)[:2], atol=1e-15)
