@@ -41,6 +41,7 @@ equations
 answers
 first_order
 assemble
+geometry
 inverse: chain | closed_forms | answer all_answer | tasks | *
 mobility
 motion

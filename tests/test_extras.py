@@ -28,7 +28,7 @@ import sys, warnings
 warnings.simplefilter("error", UserWarning)
 from pathlib import Path
 import kempe
-from kempe.views.viewer.mesh_files import read_body_meshes
+from kempe.description.meshes import read_body_meshes
 robot = kempe.load(sys.argv[1])
 found, lost = read_body_meshes(robot)
 assert not lost and sorted(found) == ["a", "b", "c"], (found, lost)
@@ -71,6 +71,12 @@ robot = kempe.load("<mujoco><worldbody><body name='a'><joint name='j'/><geom siz
 assert robot.joint_names == ("j",), robot.joint_names
 print("used")
 """
+COLLISION = """
+import kempe, sys
+robot = kempe.load(sys.argv[1])
+assert robot.geometry.clearance(robot.neutral, [("a", "c")]) < 1e-9
+print("used")
+"""
 JIT = """
 import numpy as np, kempe
 from kempe.kernels import compiled
@@ -92,6 +98,7 @@ CODE = {
     "scale": SCALE,
     "xacro": XACRO,
     "mjcf": MJCF,
+    "collision": COLLISION,
     "jit": JIT,
     "docs": DOCUMENTATION,
 }
@@ -249,6 +256,10 @@ def test_each_extra_alone(extra, registry, wheel, tmp_path):
     arguments: list[str] = []
     if extra == "view":
         arguments = [str(with_meshes(tmp_path))]
+    elif extra == "collision":
+        path = with_meshes(tmp_path)
+        path.write_text(path.read_text().replace("visual", "collision"))
+        arguments = [str(path)]
     elif extra == "xacro":
         (tmp_path / "arm.urdf.xacro").write_text(ARM)
     elif extra == "docs":

@@ -1,4 +1,6 @@
-"""Groups of methods: `System.symbolic`, `System.inverse`, `System.loops` and `System.reach`."""
+"""Groups of methods: `System.symbolic`, `System.inverse`, `System.loops`, `System.reach` and
+`System.geometry`.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
     from kempe.forward.symbolic_closure import SymbolicClosure
     from kempe.forward.symbolic_dh import DHTable
     from kempe.forward.symbolic_steps import ShortForm, SymbolicSteps
+    from kempe.geometry.clearance import NearestBodies
     from kempe.inverse.describe import Recognised
     from kempe.inverse.formulas import InverseFormulas
     from kempe.inverse.self_motion import SelfMotion
@@ -1064,3 +1067,103 @@ class ReachStudies(Namespace):
         from kempe.workspace.planar.planar_workspace import planar_workspace
 
         return planar_workspace(self.system, frame, kind, orientation)
+
+
+@dataclass(frozen=True, repr=False)
+class BodyGeometry(Namespace):
+    """Distances between bodies by their collision shapes (extra `collision`: coal)."""
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of bodies that are looked at: all that have collision shapes and move against one
+        another, but for neighbours (a joint connects them), pairs that the description ignores, and
+        pairs that touch in all of 64 random configurations.
+        """
+        from kempe.geometry.solids import get_solids
+
+        return get_solids(self.system).pairs
+
+    @explain_errors
+    def clearance(
+        self, q: ConfigurationLike, pairs: Iterable[tuple[str, str]] | None = None
+    ) -> Array | float:
+        """Compute the smallest distance between bodies.
+
+        Parameters
+        ----------
+        q
+            Configurations (..., nq).
+        pairs
+            Pairs of names of bodies (default: `pairs`).
+
+        Returns
+        -------
+        Array or float
+            Distances (...) in metres; a negative one is the depth by which two bodies overlap. NaN
+            where q is not finite, infinite without pairs.
+
+        Raises
+        ------
+        InputError
+            If no body has a collision shape, a mesh cannot be read, or something is no pair.
+        UnknownNameError
+            If there is no such body.
+        MissingExtraError
+            Without coal.
+
+        See Also
+        --------
+        nearest : which bodies are nearest, where, and the derivatives of their distances.
+
+        Notes
+        -----
+        Distances of convex shapes by the method of Gilbert, Johnson and Keerthi (1988), depths by
+        expanding polytopes, both of coal. A mesh counts as its convex hull: where it is not convex,
+        the distance is too small, never too large.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> m = kempe.Mechanism("arm")
+        >>> link = m.body("link")
+        >>> m.revolute("A", m.ground, link, at=(0, 0, 1), axis="y")  # doctest: +ELLIPSIS
+        Joint(...)
+        >>> shape = m.shape(link, "sphere", radius=0.1, at=(1, 0, 0))
+        >>> wall = m.obstacle("wall", "box", size=(0.2, 2, 2), at=(1.5, 0, 1))
+        >>> round(m.build().geometry.clearance([0.0]), 6)
+        0.3
+        """
+        from kempe.geometry.clearance import compute_clearance
+
+        return compute_clearance(self.system, q, pairs)
+
+    @explain_errors
+    def nearest(
+        self, q: ConfigurationLike, pairs: Iterable[tuple[str, str]] | None = None
+    ) -> NearestBodies:
+        """Find the distance of each pair of bodies, the smallest first.
+
+        Parameters
+        ----------
+        q
+            Configuration (nq,).
+        pairs
+            Pairs of names of bodies (default: `pairs`).
+
+        Returns
+        -------
+        NearestBodies
+            Pairs, distances, nearest points, and derivatives of the distances.
+
+        Raises
+        ------
+        InputError, UnknownNameError, MissingExtraError
+            As `clearance`; and for more than one configuration.
+
+        See Also
+        --------
+        clearance : the smallest distance of many configurations.
+        """
+        from kempe.geometry.clearance import find_nearest_bodies
+
+        return find_nearest_bodies(self.system, q, pairs)

@@ -62,7 +62,7 @@ if TYPE_CHECKING:
     from kempe.motion.manoeuvre import Manoeuvre
     from kempe.motion.path import Path as Motion
     from kempe.motion.simulate import Simulation
-    from kempe.namespaces import Inverse, Loops, ReachStudies, Symbolic
+    from kempe.namespaces import BodyGeometry, Inverse, Loops, ReachStudies, Symbolic
     from kempe.spaces.configuration_space import ConfigurationSpace
     from kempe.spaces.singularities import Singularities
     from kempe.spaces.task_space import TaskSpace
@@ -1317,6 +1317,13 @@ class System(Model, Pictured):
         from kempe.namespaces import ReachStudies
 
         return ReachStudies(self)
+
+    @property
+    def geometry(self) -> BodyGeometry:
+        """Methods about distances between bodies: `pairs`, `clearance`, `nearest`."""
+        from kempe.namespaces import BodyGeometry
+
+        return BodyGeometry(self)
 
     # ---- closed loops
 

@@ -34,9 +34,10 @@ from websockets.http11 import Request
 from websockets.sync.client import connect
 
 import kempe
-from kempe.views.viewer import live, mesh_files
+from kempe.description import meshes as mesh_files
+from kempe.description.meshes import read_body_meshes, read_meshes
+from kempe.views.viewer import live
 from kempe.views.viewer.live import Page, Viewer
-from kempe.views.viewer.mesh_files import read_body_meshes, read_meshes
 from kempe.views.viewer.scene_nodes import Drawn
 from kempe.views.viewer.server import Guard, PageServer
 from kempe.views.viewer.session import Session

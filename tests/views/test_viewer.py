@@ -24,10 +24,10 @@ from hunts import some
 from robots import DATA
 
 import kempe
+from kempe.description.meshes import PlacedMesh, read_body_meshes
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, UnknownNameError
 from kempe.views.drawing.scene import build_scene
-from kempe.views.viewer.mesh_files import PlacedMesh, read_body_meshes
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, RigidParts, write_glb
 from kempe.views.viewer.session import Session
 

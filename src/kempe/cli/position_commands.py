@@ -58,6 +58,27 @@ def run_fk(
         raise typer.Exit(INCOMPLETE)
 
 
+@register_command(OPEN, "out deg json")
+def run_clearance(
+    system: System,
+    output: Output,
+    q: options.Values = None,
+    posture: options.Posture = None,
+) -> None:
+    """Say which bodies are nearest to one another, by their collision shapes.
+
+    The exit code is 1 where two bodies overlap.
+
+    Example: kempe clearance panda.urdf --q 0,-45,0,-135,0,90,45,0.04,0.04 --deg
+    """
+    from kempe.cli import arguments
+
+    values = arguments.read_configurations(system, q, posture, output.deg)
+    answer = system.geometry.nearest(values)
+    output.save_table(answer)
+    output.finish_command(answer)
+
+
 @register_command(OPEN, "out plot gif html deg json")
 def run_ik(
     system: System,

@@ -752,6 +752,75 @@ class Mechanism:
         self.bodies[on.name] = replace(on, shapes=(*on.shapes, shape))
         return shape
 
+    def obstacle(
+        self,
+        name: str,
+        kind: str | Geometry,
+        *,
+        radius: ValueLike | None = None,
+        length: ValueLike | None = None,
+        size: Sequence[ValueLike] | None = None,
+        radii: Sequence[ValueLike] | None = None,
+        path: str | None = None,
+        scale: Value | Sequence[ValueLike] | None = None,
+        at: PlaceLike = (0.0, 0.0, 0.0),
+        rpy: ValuesLike | None = None,
+        angle: ValueLike | None = None,
+        axis: AxisLike | None = None,
+        quat_wxyz: ValuesLike | None = None,
+        matrix: MatrixLike | None = None,
+        color: Sequence[float] | None = None,
+    ) -> Body:
+        """Add a thing that stands on the ground, such as a table or a wall, and return its body.
+
+        It is a body with one shape that a fixed joint of the same name holds.
+
+        Parameters
+        ----------
+        name
+            Name, which no other body has.
+        kind, radius, length, size, radii, path, scale, color
+            Kind of the shape, its sizes in metres, and its colour, as in `shape`.
+        at, rpy, angle, axis, quat_wxyz, matrix
+            Place in the ground frame, in metres, and orientation, as in `frame`.
+
+        Returns
+        -------
+        Body
+            Record of the body.
+
+        Raises
+        ------
+        DescriptionError
+            If the name is taken, or a size or the place is wrong.
+
+        See Also
+        --------
+        System.geometry : distances between bodies.
+
+        Examples
+        --------
+        >>> m = Mechanism("cell")
+        >>> m.obstacle("table", "box", size=(1, 0.6, 0.05), at=(0.5, 0, 0.4)).name
+        'table'
+        """
+        trial = self.copy()
+        trial.body(name)
+        sizes: dict[str, Any] = {
+            "radius": radius,
+            "length": length,
+            "size": size,
+            "radii": radii,
+            "path": path,
+            "scale": scale,
+        }
+        trial.shape(name, kind, color=color, **sizes)
+        turn = make_turn(rpy, angle, axis, quat_wxyz, matrix)
+        trial.fixed(name, trial.ground, name, at=at, **turn)
+        self.bodies = trial.bodies
+        self.joints = trial.joints
+        return self.bodies[name]
+
     def parameter(self, name: str, number: float) -> Expression:
         """Add a named parameter, a length or an angle, and return it as an expression.
 

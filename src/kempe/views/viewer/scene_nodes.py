@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe import spatial
+from kempe.description.meshes import PlacedMesh, Triangles, read_body_meshes
 from kempe.errors import MissingExtraError
 from kempe.forward.fk import fk
 from kempe.model.configurations import integrate_velocity
@@ -25,7 +26,6 @@ from kempe.views.drawing import style, symbols
 from kempe.views.drawing.scene import Scene, SeenJoint, build_scene
 from kempe.views.drawing.solids import DrawnPiece, SolidRecord, make_fan, parse_colour
 from kempe.views.viewer.first_sight import fit_camera
-from kempe.views.viewer.mesh_files import PlacedMesh, Triangles, read_body_meshes
 from kempe.words import format_count
 
 if TYPE_CHECKING:

@@ -1,0 +1,207 @@
+"""How far bodies are from one another, by their collision shapes (coal)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from kempe.arguments import explain_errors, explain_method_errors
+from kempe.arrays import unwrap_scalar
+from kempe.errors import InputError, UnknownNameError
+from kempe.forward.fk import fk, jacobian
+from kempe.geometry.solids import Solids, get_solids, import_coal
+from kempe.model.configurations import read_q
+from kempe.report import Report, Table
+from kempe.spatial import Array
+from kempe.words import Quantity
+
+if TYPE_CHECKING:
+    from kempe.model.model import Model
+
+NEAREST = 10
+"""Pairs that a text lists."""
+
+Pairs = Iterable[tuple[str, str]]
+
+
+@explain_method_errors
+@dataclass(frozen=True, eq=False)
+class NearestBodies(Report):
+    """Distances between bodies at one configuration, the smallest first.
+
+    The answer is true if no two bodies touch.
+
+    Attributes
+    ----------
+    system
+        The system.
+    q
+        The configuration (nq,).
+    pairs
+        Names of two bodies, for each of n pairs.
+    distance
+        Distances (n,) in metres; a negative one is the depth by which two bodies overlap.
+    points
+        Nearest points (n, 2, 3) on the first and the second body, in the ground frame.
+    gradient
+        Derivatives (n, nv) of the distances by the velocities. They are exact where the nearest
+        points are the only ones.
+    """
+
+    system: Model
+    q: Array
+    pairs: tuple[tuple[str, str], ...]
+    distance: Array
+    points: Array
+    gradient: Array
+
+    def __bool__(self) -> bool:
+        return bool((self.distance > 0.0).all())
+
+    @property
+    def status(self) -> str:
+        """The smallest distance, and between which bodies it is."""
+        if not self.pairs:
+            return "no two bodies can touch"
+        a, b = self.pairs[0]
+        d = float(self.distance[0])
+        if d > 0.0:
+            return f"nearest are {a!r} and {b!r}, {d:.4g} m apart"
+        return f"{a!r} and {b!r} overlap by {-d:.4g} m"
+
+    def _collect_data(self) -> dict[str, Any]:
+        return {
+            "system": self.system.name,
+            "q": self.q,
+            "pairs": [list(pair) for pair in self.pairs],
+            "distance": self.distance,
+            "points": self.points,
+        }
+
+    def _make_tables(self) -> list[Table]:
+        rows = [
+            (a, b, Quantity(float(d), "m"))
+            for (a, b), d in zip(self.pairs[:NEAREST], self.distance[:NEAREST], strict=True)
+        ]
+        return [Table(("body", "body", "distance"), rows)] if rows else []
+
+
+@explain_errors
+def compute_clearance(system: Model, q: Any, pairs: Pairs | None = None) -> Any:
+    """Compute the smallest distance (...) between bodies; see `Geometry.clearance`."""
+    q = read_q(system, q)
+    solids = get_solids(system)
+    wanted = _read_pairs(system, solids, pairs)
+    poses = fk(system, q, solids.names).reshape(-1, len(solids.names), 4, 4)
+    couples = [couple for pair in wanted for couple in solids.couples[pair]]
+    out = np.full(len(poses), np.inf)
+    if couples:
+        each = np.array(couples)
+        for k, X in enumerate(poses):
+            out[k] = Placed(solids, X).find_smallest(each) if np.isfinite(X).all() else np.nan
+    return unwrap_scalar(out.reshape(q.shape[:-1]))
+
+
+@explain_errors
+def find_nearest_bodies(system: Model, q: Any, pairs: Pairs | None = None) -> NearestBodies:
+    """Find the distance of each pair of bodies at q; see `Geometry.nearest`."""
+    q = read_q(system, q)
+    if q.ndim != 1:
+        raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
+    solids = get_solids(system)
+    wanted = _read_pairs(system, solids, pairs)
+    X = fk(system, q, solids.names)
+    placed = Placed(solids, X)
+    found = [placed.measure_pair(pair) for pair in wanted]
+    order = sorted(range(len(found)), key=lambda k: found[k][0])
+    points = np.array([found[k][1] for k in order]).reshape(-1, 2, 3)
+    distance = np.array([found[k][0] for k in order])
+    pairs_ = tuple(wanted[k] for k in order)
+    J = {name: jacobian(system, q, name) for name in {n for pair in pairs_ for n in pair}}
+    at = dict(zip(solids.names, X, strict=True))
+    gradient = np.zeros((len(pairs_), system.nv))
+    for row, (a, b), (p, r), d in zip(gradient, pairs_, points, distance, strict=True):
+        apart = (r - p) / d if d != 0.0 else np.zeros(3)
+        for sign, name, x in ((-1.0, a, p), (1.0, b, r)):
+            arm = x - at[name][:3, 3]
+            row += sign * (apart @ J[name][:3] + np.cross(arm, apart) @ J[name][3:])
+    return NearestBodies(system, q, pairs_, distance, points, gradient)
+
+
+def _read_pairs(system: Model, solids: Solids, pairs: Pairs | None) -> tuple[tuple[str, str], ...]:
+    """Return the pairs that are looked at. Errors: `UnknownNameError`, `InputError`."""
+    if pairs is None:
+        return solids.pairs
+    out: list[tuple[str, str]] = []
+    for pair in pairs:
+        if isinstance(pair, str) or len(pair) != 2 or pair[0] == pair[1]:
+            raise InputError(f"{pair!r} is no pair: two names of different bodies are needed")
+        for name in pair:
+            if name not in system._mechanism.bodies:
+                raise UnknownNameError("body", name, system._mechanism.bodies, system.name)
+            if name not in solids.names:
+                raise InputError(f"body {name!r} has no collision shape")
+        out.append((pair[0], pair[1]))
+    return tuple(out)
+
+
+# ---- one configuration
+
+
+class Placed:
+    """Solids at poses X (n, 4, 4) of the bodies that have them."""
+
+    def __init__(self, solids: Solids, X: Array):
+        self._solids = solids
+        at = X[solids.body_of]
+        self._places = at @ solids.places
+        self._centers = (at[:, :3, :3] @ solids.centers[:, :, None])[:, :, 0] + at[:, :3, 3]
+        coal = import_coal()
+        self._make = coal.Transform3s
+        self._measure = coal.distance
+        self._request = coal.DistanceRequest()
+        self._result = coal.DistanceResult()
+        self._made: dict[int, Any] = {}
+
+    def measure_pair(self, pair: tuple[str, str]) -> tuple[float, tuple[Array, Array]]:
+        """Measure the distance of two bodies, and their nearest points."""
+        best = np.inf
+        points = (np.zeros(3), np.zeros(3))
+        for i, j in self._solids.couples[pair]:
+            d = self._measure_solids(i, j)
+            if d < best:
+                best = d
+                found = self._result
+                points = (np.ravel(found.getNearestPoint1()), np.ravel(found.getNearestPoint2()))
+        return best, points
+
+    def find_smallest(self, couples: np.ndarray) -> float:
+        """Find the smallest distance of pairs (k, 2) of solids: bounds by spheres say which are
+        measured.
+        """
+        i, j = couples.T
+        reach = self._solids.radii[i] + self._solids.radii[j]
+        bound = np.linalg.norm(self._centers[i] - self._centers[j], axis=1) - reach
+        best = np.inf
+        for k in np.argsort(bound).tolist():
+            if bound[k] >= best:
+                break
+            best = min(best, self._measure_solids(int(i[k]), int(j[k])))
+        return best
+
+    def _measure_solids(self, i: int, j: int) -> float:
+        """Measure the distance of two solids."""
+        self._result.clear()
+        a, b = (self._solids.solids[k].geometry for k in (i, j))
+        places = (self._place_solid(i), self._place_solid(j))
+        return float(self._measure(a, places[0], b, places[1], self._request, self._result))
+
+    def _place_solid(self, k: int) -> Any:
+        """Return the place of a solid for coal."""
+        if k not in self._made:
+            X = self._places[k]
+            self._made[k] = self._make(X[:3, :3], X[:3, 3])
+        return self._made[k]

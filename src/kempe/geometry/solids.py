@@ -1,0 +1,225 @@
+"""Collision shapes of bodies as objects of coal, and which pairs of bodies are looked at.
+
+Needs the extra [collision]. A mesh counts as its convex hull, so that distances are never too large.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from kempe.assemble.assemble import assemble
+from kempe.description.meshes import read_meshes
+from kempe.description.packages import Folders
+from kempe.description.shapes import Mesh
+from kempe.errors import InputError, KempeError, MissingExtraError
+from kempe.forward.fk import fk
+from kempe.model.configurations import sample_configurations
+from kempe.model.model import keep_answers
+from kempe.spatial import Array
+
+if TYPE_CHECKING:
+    from kempe.description.mechanism import Mechanism
+    from kempe.model.model import Model
+
+SAMPLES = 64
+"""Configurations in which pairs that always touch are looked for."""
+THIN = 1e-6
+"""Thickness of flat meshes, as a part of their size."""
+
+MADE: dict[str, Callable[[Any, Any], Any]] = {
+    "sphere": lambda coal, s: coal.Sphere(s.radius),
+    "box": lambda coal, s: coal.Box(*s.size),
+    "cylinder": lambda coal, s: coal.Cylinder(s.radius, s.length),
+    "capsule": lambda coal, s: coal.Capsule(s.radius, s.length),
+    "ellipsoid": lambda coal, s: coal.Ellipsoid(*s.radii),
+}
+"""By the kind of a shape: what coal makes of it. Meshes are read apart."""
+
+
+class Solid(NamedTuple):
+    """A shape of a body, its place X (4, 4) in the body, and a sphere about it in the body."""
+
+    geometry: Any
+    X: Array
+    center: Array
+    radius: float
+
+
+class Solids(NamedTuple):
+    """All solids of a system, and the pairs of bodies that are looked at."""
+
+    solids: tuple[Solid, ...]
+    names: tuple[str, ...]
+    """Bodies that have solids."""
+    body_of: np.ndarray
+    """For each solid, the number of its body in `names`."""
+    places: Array
+    """Places (n, 4, 4) in their bodies."""
+    centers: Array
+    radii: Array
+    """Centres (n, 3) in their bodies, and radii (n,), of spheres about the solids."""
+    couples: dict[tuple[str, str], list[tuple[int, int]]]
+    """For two bodies, in any order, all pairs of their solids."""
+    pairs: tuple[tuple[str, str], ...]
+
+
+def import_coal() -> Any:
+    """Import coal. Errors: `MissingExtraError`."""
+    try:
+        import coal
+    except ImportError:
+        raise MissingExtraError("coal", "collision") from None
+    return coal
+
+
+@keep_answers
+def get_solids(system: Model) -> Solids:
+    """Return the solids of all bodies, and the pairs of bodies that may touch.
+
+    Errors: `InputError` if no body has a collision shape, or a mesh cannot be read.
+    """
+    mechanism = system.mechanism
+    found = _make_solids(mechanism)
+    if not found:
+        raise InputError(
+            f"no body of {system.name!r} has a collision shape: `Mechanism.shape` adds one, and "
+            "files may have them"
+        )
+    names = tuple(dict.fromkeys(name for name, _ in found))
+    of = {name: [k for k, (n, _) in enumerate(found) if n == name] for name in names}
+    solids = Solids(
+        tuple(solid for _, solid in found),
+        names,
+        np.array([names.index(name) for name, _ in found]),
+        np.array([solid.X for _, solid in found]),
+        np.array([solid.center for _, solid in found]),
+        np.array([solid.radius for _, solid in found]),
+        {
+            (a, b): list(itertools.product(of[a], of[b]))
+            for a, b in itertools.permutations(names, 2)
+        },
+        tuple(_list_pairs(mechanism, names)),
+    )
+    return solids._replace(pairs=_drop_touching_pairs(system, solids))
+
+
+# ---- shapes
+
+
+def _make_solids(mechanism: Mechanism) -> list[tuple[str, Solid]]:
+    """Make the solids of all collision shapes, each with the name of its body."""
+    coal = import_coal()
+    given = [
+        (name, shape.geometry.evaluate_sizes(mechanism.parameters), shape)
+        for name, body in mechanism.bodies.items()
+        for shape in body.shapes
+        if shape.collision
+    ]
+    corners = _read_corners([(n, g) for n, g, _ in given if isinstance(g, Mesh)], mechanism)
+    out: list[tuple[str, Solid]] = []
+    for name, geometry, shape in given:
+        if isinstance(geometry, Mesh):
+            made = _make_hull(coal, corners[geometry.path] * np.array(geometry.scale, dtype=float))
+        else:
+            made = MADE[geometry.kind](coal, geometry)
+        made.computeLocalAABB()
+        X = shape.X_BS.evaluate_pose(mechanism.parameters)
+        center = X[:3, :3] @ np.ravel(made.aabb_center) + X[:3, 3]
+        out.append((name, Solid(made, X, center, float(made.aabb_radius))))
+    return out
+
+
+def _read_corners(meshes: list[tuple[str, Mesh]], mechanism: Mechanism) -> dict[str, Array]:
+    """Return the corners (n, 3) of meshes by their paths. Errors: `InputError`."""
+    if meshes and importlib.util.find_spec("trimesh") is None:
+        raise MissingExtraError("trimesh", "collision")
+    folders = Folders(mechanism.roots)
+    sources: dict[str, tuple[Any, None]] = {}
+    for name, mesh in meshes:
+        try:
+            sources[mesh.path] = (folders.find_file(mesh.path), None)
+        except KempeError as error:
+            raise InputError(f"collision shape of {name!r}: {error}") from None
+    read = read_meshes(sources.values())
+    out: dict[str, Array] = {}
+    for name, mesh in meshes:
+        found = read[sources[mesh.path]]
+        if isinstance(found, str):
+            raise InputError(f"collision shape of {name!r}: mesh {mesh.path}: {found}")
+        out[mesh.path] = found.corners.astype(float)
+    return out
+
+
+def _make_hull(coal: Any, corners: Array) -> Any:
+    """Make the convex hull of points (n, 3); flat ones get a thickness."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(corners)
+    except QhullError:
+        size = THIN * max(float(np.ptp(corners, axis=0).max()), 1e-300)
+        steps = size * np.concatenate([np.eye(3), -np.eye(3)])
+        corners = (corners[:, None] + steps).reshape(-1, 3)
+        hull = ConvexHull(corners)
+    a, b, c = (corners[hull.simplices[:, k]] for k in range(3))
+    inwards = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0.0
+    simplices = np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
+    number = np.zeros(len(corners), dtype=int)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    points = coal.StdVec_Vec3s()
+    points.extend(list(corners[hull.vertices]))
+    triangles = coal.StdVec_Triangle()
+    triangles.extend([coal.Triangle(*row) for row in number[simplices].tolist()])
+    return coal.Convex(points, triangles)
+
+
+# ---- pairs
+
+
+def _list_pairs(mechanism: Mechanism, names: tuple[str, ...]) -> Iterable[tuple[str, str]]:
+    """List pairs of bodies with shapes that move against one another and are no neighbours.
+
+    Neighbours are joined by a joint, or by a joint and a body without shapes that is fixed to them;
+    the ground is no such body. Pairs that the mechanism ignores are left out.
+    """
+    rigid = {name: {name} for name in mechanism.bodies}
+    for joint in mechanism.joints.values():
+        if joint.type.dof(mechanism.dim) == 0:
+            group = rigid[joint.parent] | rigid[joint.child]
+            rigid.update(dict.fromkeys(group, group))
+    left = {frozenset(pair) for pair in mechanism.ignored_pairs}
+    ground = mechanism.ground.name
+    for joint in mechanism.joints.values():
+        ends = [
+            {name} if name in names or name == ground else rigid[name]
+            for name in (joint.parent, joint.child)
+        ]
+        left |= {frozenset(pair) for pair in itertools.product(*ends)}
+    for a, b in itertools.combinations(names, 2):
+        if b not in rigid[a] and frozenset((a, b)) not in left:
+            yield a, b
+
+
+def _drop_touching_pairs(system: Model, solids: Solids) -> tuple[tuple[str, str], ...]:
+    """Drop the pairs that touch in every one of some configurations: they are built so."""
+    from kempe.geometry.clearance import Placed
+
+    q = sample_configurations(system, 0, SAMPLES)
+    closed = assemble(system, start=q)
+    q = closed.q[closed.success]
+    if not len(q):
+        return solids.pairs
+    poses = fk(system, q, solids.names)
+    left = solids.pairs
+    for X in poses:
+        placed = Placed(solids, X)
+        touching = [pair for pair in left if placed.measure_pair(pair)[0] <= 0.0]
+        if not touching:
+            return solids.pairs
+        left = tuple(touching)
+    return tuple(pair for pair in solids.pairs if pair not in left)
