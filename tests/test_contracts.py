@@ -21,7 +21,7 @@ from kempe import Budget, library
 from kempe.answers.answer import Answer
 from kempe.arguments import call_until_interrupt
 from kempe.errors import InputError, KempeError
-from kempe.namespaces import Inverse, Loops, ReachStudies
+from kempe.namespaces import BodyGeometry, Inverse, Loops, ReachStudies
 from kempe.report import Report, Result
 from kempe.status import Status
 
@@ -47,6 +47,12 @@ TWO = marked("two_link_pose", "q1", "q2")
 SPATIAL = marked("bennett")
 CAR = marked("car")
 BALL = marked("ball")
+SHAPES = kempe.Mechanism("<b>shapes")
+SHAPES.body("<b>ball")
+SHAPES.prismatic("<b>slide", SHAPES.ground, "<b>ball", axis="x")
+SHAPES.shape("<b>ball", "sphere", radius=0.1)
+SHAPES.obstacle("<b>wall", "box", size=(0.1, 1.0, 1.0), at=(1.0, 0.0, 0.0))
+SHAPES = SHAPES.build()
 FIVE = marked("five_bar")
 CRANK = "<b>A"
 ROCKER = "<b>D"
@@ -303,6 +309,7 @@ CASES = {
     "task_space": Case("task_space", lambda: TWO.task_space("e"), "SOLVED"),
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
     "idealise": Case("idealise", lambda: rounded().idealise(), "SOLVED"),
+    "nearest": Case("nearest", lambda: SHAPES.geometry.nearest([0.0]), "SOLVED"),
     "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
     "mobility failing": Case("mobility", lambda: apart().mobility(), "NOT_FOUND"),
     "mobility of a ball": Case("mobility", lambda: BALL.mobility(), "SOLVED"),
@@ -368,6 +375,7 @@ CASES = {
 }
 
 REPORTING = {
+    "nearest",
     "workspace",
     "mobility",
     "classify",
@@ -404,6 +412,7 @@ NAMED = {
 OF_RESULTS = {"at", "close", "sample", "components", "path"}
 """Verbs of results."""
 NO_RESULTS = {
+    "geometry",
     "assembler",
     "constraints",
     "plot",
@@ -471,7 +480,7 @@ def test_every_verb_that_returns_a_result_is_in_the_table():
         "Sequence",
     }
     verbs = set()
-    for owner in (kempe.System, Loops, Inverse, ReachStudies):
+    for owner in (kempe.System, Loops, Inverse, ReachStudies, BodyGeometry):
         for name, member in vars(owner).items():
             function = (
                 member.fget if isinstance(member, property) else getattr(member, "func", member)

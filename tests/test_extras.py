@@ -30,7 +30,7 @@ from pathlib import Path
 import kempe
 from kempe.description.meshes import read_body_meshes
 robot = kempe.load(sys.argv[1])
-found, lost = read_body_meshes(robot)
+found, lost = read_body_meshes(robot.mechanism)
 assert not lost and sorted(found) == ["a", "b", "c"], (found, lost)
 assert all(len(mesh.triangles) == 1 for (mesh,) in found.values())
 robot.save_html("page.html")

@@ -46,7 +46,7 @@ def test_a_sphere_in_front_of_a_wall():
     expected = 1.4 - np.cos(q[:, 0]) - 0.1
     np.testing.assert_allclose(s.geometry.clearance(q), expected, atol=1e-6)
     n = s.geometry.nearest([0.5])
-    assert n and n.pairs == (("link", "wall"),)
+    assert n.pairs == (("link", "wall"),)
     x, z = math.cos(0.5), 1.0 - math.sin(0.5)
     np.testing.assert_allclose(n.points[0], [[x + 0.1, 0, z], [1.4, 0, z]], atol=1e-6)
     np.testing.assert_allclose(n.gradient[0], [math.sin(0.5)], atol=1e-6)
@@ -60,7 +60,7 @@ def test_overlap_is_negative_and_says_so():
     # the sphere lies between 0.7 and 1.3, the wall begins at 1.1
     np.testing.assert_allclose(s.geometry.clearance([0.0]), -0.2, atol=1e-6)
     n = s.geometry.nearest([0.0])
-    assert not n and "overlap by 0.2 m" in n.status
+    assert "overlap by 0.2 m" in n.status
 
 
 def test_hunt_spheres_and_capsules_in_closed_form(hunt):
@@ -87,7 +87,7 @@ SHAPES = (
 )
 
 
-@pytest.mark.parametrize(("i", "j"), itertools.combinations_with_replacement(range(5), 2))
+@pytest.mark.parametrize(("i", "j"), list(itertools.combinations_with_replacement(range(5), 2)))
 def test_distances_do_not_depend_on_the_order_and_change_by_their_gradient(i, j):
     rng = np.random.default_rng(10 * i + j)
     s = two_bodies(SHAPES[i], SHAPES[j])
@@ -251,6 +251,8 @@ def test_what_cannot_be_is_refused():
         s.geometry.clearance([0.0], [("wall", "wall")])
     with pytest.raises(InputError, match="one configuration"):
         s.geometry.nearest([[0.0]])
+    with pytest.raises(InputError, match="not finite"):
+        s.geometry.nearest([math.nan])
     with pytest.raises(KempeError, match="wall"):
         m.obstacle("wall", "box", size=(1, 1, 1))
     with pytest.raises(KempeError, match="size"):
@@ -279,7 +281,9 @@ def test_robots_as_in_pinocchio(robot):
     s = kempe.load(path)
     model = pin.buildModelFromUrdf(str(path))
     folders = [str(Path(path).parents[k]) for k in range(1, 5)]
-    shapes = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION, folders)
+    shapes = pin.buildGeomFromUrdf(
+        model, str(path), pin.GeometryType.COLLISION, package_dirs=folders
+    )
     for o in shapes.geometryObjects:
         if isinstance(o.geometry, coal.BVHModelBase):
             o.geometry.buildConvexHull(True, "Qt")

@@ -488,7 +488,7 @@ def damaged(folder: Path) -> dict[str, str]:
 def test_meshes_that_cannot_be_read_are_named_and_the_others_are_drawn(tmp_path):
     bad = damaged(tmp_path)
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "good.stl")
-    found, lost = read_body_meshes(robot(tmp_path, *bad, "good.stl", "good.stl"))
+    found, lost = read_body_meshes(robot(tmp_path, *bad, "good.stl", "good.stl").mechanism)
     assert set(found) == {"base", f"b{len(bad)}", f"b{len(bad) + 1}"}
     assert np.allclose(np.ptp(found[f"b{len(bad)}"][0].corners, axis=0), [1, 2, 3])
     assert len(lost) == len(bad)

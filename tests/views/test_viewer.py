@@ -234,7 +234,7 @@ def test_shapes_are_drawn_in_their_size_place_and_colour(kind, sizes, extents, v
     m = kempe.Mechanism("m")
     m.revolute("q", m.ground, m.body("a"))
     m.shape("a", kind, **sizes, at=(5, 6, 7), color=(1, 0.5, 0, 0.25))
-    found, lost = read_body_meshes(m.build())
+    found, lost = read_body_meshes(m)
     (drawn,) = found["a"]
     mesh = trimesh.Trimesh(drawn.corners, drawn.triangles, process=False)
     assert not lost and mesh.is_watertight
@@ -255,7 +255,7 @@ def test_what_collides_is_drawn_where_nothing_else_is_seen():
     for name in ("seen", "hidden"):
         m.shape(name, "box", size=(1, 1, 1), visual=False)
     m.shape("seen", "sphere", radius=1, collision=False)
-    found, lost = read_body_meshes(m.build())
+    found, lost = read_body_meshes(m)
     assert not lost and {name: len(meshes) for name, meshes in found.items()} == {
         "seen": 1,
         "hidden": 1,
@@ -273,7 +273,7 @@ def test_colours_of_a_file_are_kept_and_others_get_that_of_the_shape(tmp_path):
     m.roots = (str(tmp_path),)
     for name in ("plain.stl", "green.ply"):
         m.shape("a", "mesh", path=name, scale=2, color=(1, 0, 0))
-    found, lost = read_body_meshes(m.build())
+    found, lost = read_body_meshes(m)
     plain, green = found["a"]
     assert not lost and plain.drawn.color == (255, 0, 0, 255)
     assert green.drawn.color == (0, 255, 0, 255)
@@ -297,7 +297,7 @@ def test_glb_and_triangles_are_the_same_mesh(tmp_path):
     m.roots = (str(tmp_path),)
     at = trimesh.transformations.compose_matrix(angles=(0.1, 0.7, -1.2), translate=(4, 5, 6))
     m.shape("a", "mesh", path="ball.stl", scale=(1, -2, 3), at=at)
-    (mesh,) = read_body_meshes(m.build())[0]["a"]
+    (mesh,) = read_body_meshes(m)[0]["a"]
     placed = as_trimesh(mesh)
     there = trimesh.load_mesh(tmp_path / "ball.stl", process=False)
     there.apply_scale((1, -2, 3)).apply_transform(at)
@@ -326,7 +326,7 @@ def test_shapes_that_a_page_cannot_hold_are_named():
     m.revolute("q", m.ground, m.body("a"))
     m.shape("a", "cylinder", radius=1e300, length=1)
     m.shape("a", "box", size=(1, 2, 3), at=(1e10, 0, 0))
-    found, lost = read_body_meshes(m.build())
+    found, lost = read_body_meshes(m)
     assert not found and len(lost) == 2
     assert lost[0].startswith("a: the radius of its cylinder is 1e+300; it must be below 1e+09")
     assert lost[1].startswith("a: the place of its box")
@@ -338,10 +338,10 @@ def test_meshes_are_those_of_the_model_and_missing_ones_do_not_block():
     """In the package of the file all are found; without a file each is named, and links are drawn in
     their place.
     """
-    found, lost = read_body_meshes(kempe.load(DATA[0] / TALOS))
+    found, lost = read_body_meshes(kempe.load(DATA[0] / TALOS).mechanism)
     assert len(found) > 20 and not lost
     bare = kempe.load((DATA[0] / TALOS).read_text())
-    none, lost = read_body_meshes(bare)
+    none, lost = read_body_meshes(bare.mechanism)
     assert len(none) < 10 and len(lost) > 20 and "looked in" in lost[0]
     assert len(RigidParts(bare, bare.mid).parts) > 20
 

@@ -76,7 +76,9 @@ def run_clearance(
     values = arguments.read_configurations(system, q, posture, output.deg)
     answer = system.geometry.nearest(values)
     output.save_table(answer)
-    output.finish_command(answer)
+    output.print_answers(answer)
+    if (answer.distance <= 0.0).any():
+        raise typer.Exit(INCOMPLETE)
 
 
 @register_command(OPEN, "out plot gif html deg json")

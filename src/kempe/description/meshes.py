@@ -25,7 +25,6 @@ from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.description.mechanism import Mechanism
-    from kempe.model.model import Model
 
 
 # ---- meshes of bodies
@@ -178,13 +177,12 @@ class PlacedMesh(NamedTuple):
 
 
 def read_body_meshes(
-    system: Model, meanwhile: Callable[[], object] | None = None
+    mechanism: Mechanism, meanwhile: Callable[[], object] | None = None
 ) -> tuple[dict[str, list[PlacedMesh]], list[str]]:
     """The meshes of each body by its name, and a sentence for each mesh that cannot be shown.
 
     `meanwhile` is called while they are read, if there are any.
     """
-    mechanism = system.mechanism
     folders = Folders(mechanism.roots)
     wanted: list[tuple[str, Source, Array, Array]] = []
     lost: list[str] = []

@@ -12,7 +12,7 @@ from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import unwrap_scalar
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk, jacobian
-from kempe.geometry.solids import Solids, get_solids, import_coal
+from kempe.geometry.solids import Placed, Solids, get_solids
 from kempe.model.configurations import read_q
 from kempe.report import Report, Table
 from kempe.spatial import Array
@@ -31,8 +31,6 @@ Pairs = Iterable[tuple[str, str]]
 @dataclass(frozen=True, eq=False)
 class NearestBodies(Report):
     """Distances between bodies at one configuration, the smallest first.
-
-    The answer is true if no two bodies touch.
 
     Attributes
     ----------
@@ -57,9 +55,6 @@ class NearestBodies(Report):
     distance: Array
     points: Array
     gradient: Array
-
-    def __bool__(self) -> bool:
-        return bool((self.distance > 0.0).all())
 
     @property
     def status(self) -> str:
@@ -111,6 +106,8 @@ def find_nearest_bodies(system: Model, q: Any, pairs: Pairs | None = None) -> Ne
     q = read_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")
+    if not np.isfinite(q).all():
+        raise InputError("q is not finite")
     solids = get_solids(system)
     wanted = _read_pairs(system, solids, pairs)
     X = fk(system, q, solids.names)
@@ -146,62 +143,3 @@ def _read_pairs(system: Model, solids: Solids, pairs: Pairs | None) -> tuple[tup
                 raise InputError(f"body {name!r} has no collision shape")
         out.append((pair[0], pair[1]))
     return tuple(out)
-
-
-# ---- one configuration
-
-
-class Placed:
-    """Solids at poses X (n, 4, 4) of the bodies that have them."""
-
-    def __init__(self, solids: Solids, X: Array):
-        self._solids = solids
-        at = X[solids.body_of]
-        self._places = at @ solids.places
-        self._centers = (at[:, :3, :3] @ solids.centers[:, :, None])[:, :, 0] + at[:, :3, 3]
-        coal = import_coal()
-        self._make = coal.Transform3s
-        self._measure = coal.distance
-        self._request = coal.DistanceRequest()
-        self._result = coal.DistanceResult()
-        self._made: dict[int, Any] = {}
-
-    def measure_pair(self, pair: tuple[str, str]) -> tuple[float, tuple[Array, Array]]:
-        """Measure the distance of two bodies, and their nearest points."""
-        best = np.inf
-        points = (np.zeros(3), np.zeros(3))
-        for i, j in self._solids.couples[pair]:
-            d = self._measure_solids(i, j)
-            if d < best:
-                best = d
-                found = self._result
-                points = (np.ravel(found.getNearestPoint1()), np.ravel(found.getNearestPoint2()))
-        return best, points
-
-    def find_smallest(self, couples: np.ndarray) -> float:
-        """Find the smallest distance of pairs (k, 2) of solids: bounds by spheres say which are
-        measured.
-        """
-        i, j = couples.T
-        reach = self._solids.radii[i] + self._solids.radii[j]
-        bound = np.linalg.norm(self._centers[i] - self._centers[j], axis=1) - reach
-        best = np.inf
-        for k in np.argsort(bound).tolist():
-            if bound[k] >= best:
-                break
-            best = min(best, self._measure_solids(int(i[k]), int(j[k])))
-        return best
-
-    def _measure_solids(self, i: int, j: int) -> float:
-        """Measure the distance of two solids."""
-        self._result.clear()
-        a, b = (self._solids.solids[k].geometry for k in (i, j))
-        places = (self._place_solid(i), self._place_solid(j))
-        return float(self._measure(a, places[0], b, places[1], self._request, self._result))
-
-    def _place_solid(self, k: int) -> Any:
-        """Return the place of a solid for coal."""
-        if k not in self._made:
-            X = self._places[k]
-            self._made[k] = self._make(X[:3, :3], X[:3, 3])
-        return self._made[k]

@@ -178,6 +178,65 @@ def _make_hull(coal: Any, corners: Array) -> Any:
     return coal.Convex(points, triangles)
 
 
+# ---- one configuration
+
+
+class Placed:
+    """Solids at poses X (n, 4, 4) of the bodies that have them."""
+
+    def __init__(self, solids: Solids, X: Array):
+        self._solids = solids
+        at = X[solids.body_of]
+        self._places = at @ solids.places
+        self._centers = (at[:, :3, :3] @ solids.centers[:, :, None])[:, :, 0] + at[:, :3, 3]
+        coal = import_coal()
+        self._make = coal.Transform3s
+        self._measure = coal.distance
+        self._request = coal.DistanceRequest()
+        self._result = coal.DistanceResult()
+        self._made: dict[int, Any] = {}
+
+    def measure_pair(self, pair: tuple[str, str]) -> tuple[float, tuple[Array, Array]]:
+        """Measure the distance of two bodies, and their nearest points."""
+        best = np.inf
+        points = (np.zeros(3), np.zeros(3))
+        for i, j in self._solids.couples[pair]:
+            d = self._measure_solids(i, j)
+            if d < best:
+                best = d
+                found = self._result
+                points = (np.ravel(found.getNearestPoint1()), np.ravel(found.getNearestPoint2()))
+        return best, points
+
+    def find_smallest(self, couples: np.ndarray) -> float:
+        """Find the smallest distance of pairs (k, 2) of solids: bounds by spheres say which are
+        measured.
+        """
+        i, j = couples.T
+        reach = self._solids.radii[i] + self._solids.radii[j]
+        bound = np.linalg.norm(self._centers[i] - self._centers[j], axis=1) - reach
+        best = np.inf
+        for k in np.argsort(bound).tolist():
+            if bound[k] >= best:
+                break
+            best = min(best, self._measure_solids(int(i[k]), int(j[k])))
+        return best
+
+    def _measure_solids(self, i: int, j: int) -> float:
+        """Measure the distance of two solids."""
+        self._result.clear()
+        a, b = (self._solids.solids[k].geometry for k in (i, j))
+        places = (self._place_solid(i), self._place_solid(j))
+        return float(self._measure(a, places[0], b, places[1], self._request, self._result))
+
+    def _place_solid(self, k: int) -> Any:
+        """Return the place of a solid for coal."""
+        if k not in self._made:
+            X = self._places[k]
+            self._made[k] = self._make(X[:3, :3], X[:3, 3])
+        return self._made[k]
+
+
 # ---- pairs
 
 
@@ -207,8 +266,6 @@ def _list_pairs(mechanism: Mechanism, names: tuple[str, ...]) -> Iterable[tuple[
 
 def _drop_touching_pairs(system: Model, solids: Solids) -> tuple[tuple[str, str], ...]:
     """Drop the pairs that touch in every one of some configurations: they are built so."""
-    from kempe.geometry.clearance import Placed
-
     q = sample_configurations(system, 0, SAMPLES)
     closed = assemble(system, start=q)
     q = closed.q[closed.success]

@@ -500,7 +500,7 @@ class Drawn:
     def __init__(self, system: Model, q: Array, way: Array | None = None):
         self.system = system
         self.q = q
-        meshes, self.lost = read_body_meshes(system, meanwhile=lambda: self.rigid)
+        meshes, self.lost = read_body_meshes(system.mechanism, meanwhile=lambda: self.rigid)
         self.shapes = tuple(self._place_shapes(meshes, q))
         self.extremes = self._find_extremes()
         shown = q[None]
