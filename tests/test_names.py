@@ -13,8 +13,8 @@ import kempe
 from kempe import Mechanism, System
 from kempe.errors import hint
 
-MOST_OF_SYSTEM = 55
-MOST_OF_MECHANISM = 39
+MOST_OF_SYSTEM = 56
+MOST_OF_MECHANISM = 40
 
 BAR = kempe.load("four_bar")
 ARM = kempe.load("iiwa14")

@@ -13,7 +13,6 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from kempe import spatial
-from kempe.constraints.base import list_position_rows
 from kempe.constraints.kinds import list_point_rows
 from kempe.description.formats import URDF
 from kempe.description.mechanism import Mechanism
@@ -187,7 +186,7 @@ class UrdfWriter:
     def is_writable_constraint(self, constraint: Declared) -> bool:
         """Whether a constraint holds two points together, and no more."""
         dim = self.m.dim
-        return list_position_rows(constraint.of, dim) == list_point_rows(dim)
+        return constraint.of.list_rows(dim) == list_point_rows(dim)
 
     def is_fixed_joint(self, joint: Joint) -> bool:
         """Whether a joint does not move; locks of only a part of its coordinates are refused."""

@@ -28,7 +28,7 @@ Pairs = Iterable[tuple[str, str]]
 
 
 @explain_method_errors
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class NearestBodies(Report):
     """Distances between bodies at one configuration, the smallest first.
 
