@@ -242,7 +242,7 @@ def test_22_the_same_in_space_and_where_it_fails():
     """'The above reasoning could be applied to 3D systems as well'"""
     assert "7 x (6 - 5) = 7" in kempe.load("seven_bodies").mobility().counting.steps[2]
     said = kempe.load("bennett").mobility().sentence
-    assert said == "Gruebler says -2, the truth is 1: 3 constraints are redundant"
+    assert said == "1 degree of freedom (Grübler count: -2; 3 redundant constraints)"
 
 
 # ------------------------------------------------------------------ types of joints

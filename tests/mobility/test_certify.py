@@ -387,7 +387,7 @@ def test_a_trammel_turns_as_it_slides():
     system = w.build()
     m = mobility(system, system.neutral)
     assert (m.dof, m.certain) == (1, False) and m.sentence.startswith(
-        "Gruebler says 0, the truth is 1 to order 8"
+        "1 degree of freedom to order 8 (Grübler count: 0"
     )
 
 

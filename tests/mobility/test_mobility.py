@@ -79,7 +79,7 @@ def test_the_same_four_bar_in_the_plane_and_in_space():
     solid = mobility(kempe.load("four_bar_spatial"))
     assert (flat.gruebler, flat.dof, flat.redundant) == (1, 1, 0)
     assert (solid.gruebler, solid.dof, solid.redundant) == (flat.gruebler_spatial, 1, 3)
-    assert "Gruebler says -2, the truth is 1: 3 constraints are redundant" in str(solid)
+    assert "1 degree of freedom (Grübler count: -2; 3 redundant constraints)" in str(solid)
 
 
 # ---- counting

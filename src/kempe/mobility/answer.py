@@ -39,26 +39,23 @@ SHOWN = 12
 
 def describe_mobility(m: Mobility) -> str:
     """Describe the mobility in one sentence: the count, the true number, and why they differ."""
+    count = f"Grübler count: {m.gruebler}"
     if m.late and m.rank is None:
-        return f"Gruebler says {m.gruebler}; {m.why_open}"
+        return f"degrees of freedom unknown ({count}): {m.why_open}"
     if not m.closed:
         return (
-            f"Gruebler says {m.gruebler}; the mechanism cannot be closed here (residual "
-            f"{m.residual:.2g}), so nothing is said about rank and true "
-            f"freedoms{f'; {m.why_open}' if m.why_open else ''}"
+            f"degrees of freedom unknown ({count}): the mechanism cannot be closed here (residual "
+            f"{m.residual:.2g}){f'; {m.why_open}' if m.why_open else ''}"
         )
     if m.dof is None:
         why_not = "the time limit came" if m.late else "not tested further"
-        most = f"the rank {m.rank_dof}; the truth is {m.rank_dof} or less ({why_not})"
-        return f"Gruebler says {m.gruebler}, {most}"
+        most = format_count(m.rank_dof or 0, "degree")
+        return f"at most {most} of freedom, by the rank ({count}; {why_not})"
     false = max((m.generic_rank_dof or 0) - m.dof, 0)
     why: list[str] = []
     if (m.redundant or 0) > false:
         some = f", {false} of them to first order only" if false else ""
-        why.append(
-            f"{format_count(m.redundant or 0, 'constraint')} {'is' if m.redundant == 1 else 'are'} "
-            f"redundant{some}"
-        )
+        why.append(f"{format_count(m.redundant or 0, 'redundant constraint')}{some}")
     if m.local is not None and len({b.dim for b in m.local.branches}) > 1:
         meet = "that meet here" if m.local.counted else "found here"
         why.append(
@@ -75,11 +72,6 @@ def describe_mobility(m: Mobility) -> str:
     order = (
         "" if m.certain or m.local is None or m.within is not None else f" to order {m.local.order}"
     )
-    said = (
-        f"the truth is {sure}{m.dof}{order}"
-        if m.gruebler != m.dof
-        else f"which is {sure}the truth{order}"
-    )
     rank = (
         _describe_false_freedoms(m.generic_rank_dof or 0, false, m.generic_rank_dof != m.rank_dof)
         if false
@@ -87,12 +79,8 @@ def describe_mobility(m: Mobility) -> str:
     )
     least = "" if m.within is None else f" {m.within.least}"
     exactly = "" if m.within is None else f"; {m.within.exactly}"
-    return (
-        f"Gruebler says {m.gruebler}, {said}{least}"
-        + (": " + ", ".join(why) if why else "")
-        + rank
-        + exactly
-    )
+    freedoms = f"{sure}{format_count(m.dof, 'degree')} of freedom{order}{least}"
+    return f"{freedoms} ({'; '.join([count, *why])}){rank}{exactly}"
 
 
 def _describe_false_freedoms(rank: int, false: int, nearby: bool) -> str:

@@ -639,14 +639,7 @@ class Session:
 
         with self._catch_refusals():
             found = mobility(self.system, self.q)
-            if found.dof is None:
-                return found.status
-            said = f"{format_count(found.dof, 'degree')} of freedom"
-            notes = [f"Grübler count: {found.gruebler}"] * (found.gruebler != found.dof)
-            notes += [format_count(found.redundant or 0, "redundant constraint")] * bool(
-                found.redundant
-            )
-            return said + f" ({'; '.join(notes)})" * bool(notes)
+            return found.status
         return ""
 
     def compose_text(self) -> str:
