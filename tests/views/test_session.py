@@ -292,10 +292,10 @@ def test_only_motions_that_there_can_be_are_offered():
 def test_what_is_said_names_residual_singularity_and_freedoms():
     session = Session(kempe.load("four_bar"))
     assert session.compose_text() == "" and session.compute_residual() < 1e-12
-    assert session.describe_mobility() == "1 degree of freedom"
+    assert session.describe_mobility() == "1 degree of freedom (Grübler count: 1)"
     delta = Session(kempe.load("delta_uu"))
     assert delta.describe_mobility() == (
-        "3 degrees of freedom (Grübler count: -3; 6 redundant constraints)"
+        "3 degrees of freedom to order 8 (Grübler count: -3; 6 redundant constraints)"
     )
     stretched = Session(kempe.load("ur5"), np.zeros(6), "tool")
     stretched.aim_frame("tool", "pose")
