@@ -63,7 +63,7 @@ def test_the_readme_shows_nothing_that_depends_on_the_processor():
     assert not re.findall(r"\d[eE][-+]\d+|\d+ (?:steps?|points?)\b", shown)
 
 
-RUN = some([p.relative_to(ROOT).as_posix() for p in docs.list_pages()], 4)
+RUN = some([p.relative_to(ROOT).as_posix() for p in docs.list_pages()], 10)
 """Pages whose code runs."""
 
 

@@ -397,6 +397,7 @@ def test_scissor():
     )
 
 
+@pytest.mark.slow
 def test_peaucellier_is_straight():
     """x = (OA^2 - AC^2) / (2 OQ) = 3.22; O, C and D are on a line, whose angle is half of the
     crank's.
@@ -453,6 +454,7 @@ def jansen(t: float) -> complex:
     return meet(knee, h, lower, i, -1) / 100
 
 
+@pytest.mark.slow
 def test_jansen_walks():
     """Circles that meet; the foot stays within 1 mm (of 92 cm) over 90 degrees of the crank, then
     it is lifted.

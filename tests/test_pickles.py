@@ -407,6 +407,7 @@ def rounded() -> kempe.System:
     return m.build()
 
 
+@pytest.mark.slow
 def test_another_process_says_the_same(tmp_path):
     sent = {}
     here = {}

@@ -116,7 +116,7 @@ def test_success_is_judged(arm):
     assert inverse.reached(arm, q, targets).tolist() == [True, False, False, False]
 
 
-@pytest.mark.parametrize("installed", [True, False])
+@pytest.mark.parametrize("installed", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_sections_run(quick, monkeypatch, installed):
     if not installed:
         monkeypatch.setattr(peers, "robot_file", lambda name: None)

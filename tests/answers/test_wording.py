@@ -38,6 +38,7 @@ def kinds_made() -> set[str]:
     return {ast.literal_eval(call.args[0]) for call in calls}
 
 
+@pytest.mark.slow
 def test_each_kind_of_evidence_is_found_out_somewhere_and_has_a_sentence():
     assert kinds_made() == set(KINDS) and not set(wording.PROOFS) & set(wording.FOUND_OUT)
 

@@ -905,6 +905,7 @@ def follow(system, known, start, monkeypatch, by_rows):
     return system.assemble(known, start, prefer="continuous")
 
 
+@pytest.mark.slow
 def test_a_sequence_by_the_closed_form_is_as_row_by_row(hunt, monkeypatch):
     """Random chains of dyads whose known coordinates go along lines, in small and in large steps."""
     rng = hunt.rng()

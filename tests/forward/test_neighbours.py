@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hunts import some
 from robots import good_urdf_files, mujoco_text
 
 import kempe
@@ -99,7 +100,7 @@ def mujoco_agrees(mujoco: Any, robot: System, model: Any, seed: int = 0) -> int:
 # ---- all robots of a package of files
 
 
-@pytest.mark.parametrize("base", [None, "free"])
+@pytest.mark.parametrize("base", some([None, "free"], 2))
 def test_robots_in_pinocchio(base):
     pin = pytest.importorskip("pinocchio")
     done = 0
@@ -114,7 +115,7 @@ def test_robots_in_pinocchio(base):
     assert done > 60
 
 
-@pytest.mark.parametrize("base", [None, "free"])
+@pytest.mark.parametrize("base", some([None, "free"], 2))
 def test_robots_in_mujoco(base):
     mujoco = pytest.importorskip("mujoco")
     done = 0

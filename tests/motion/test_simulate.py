@@ -430,6 +430,7 @@ def above(law: str, dim: int = 2, **more: str) -> kempe.System:
     return m.build()
 
 
+@pytest.mark.slow
 def test_a_floor_that_rises_evenly_is_a_floor_at_rest_seen_from_itself(hunt):
     """Times, rates of gaps and the end of all bounces by Galilei's change of the frame of
     reference.

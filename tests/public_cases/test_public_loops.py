@@ -665,6 +665,7 @@ def test_a_plate_on_equal_parallel_rods(rods, dof, useful):
     assert (mobility.dof, mobility.useful) == (dof, useful), mobility.sentence
 
 
+@pytest.mark.slow
 def test_a_plate_on_rods_for_any_random_numbers(hunt):
     """Both branches are shaky all along: what is near a branch must not count as a direction of it."""
     s = plate(6)
@@ -673,6 +674,7 @@ def test_a_plate_on_rods_for_any_random_numbers(hunt):
         assert find_local_dimension(s, q, rng=seed).dim == 8, seed
 
 
+@pytest.mark.slow
 def test_a_plate_on_six_rods_keeps_two_freedoms_away_from_home():
     """r/robotics, question 1jivt2u: the same after the plate was moved sideways by 0.3, still
     parallel.

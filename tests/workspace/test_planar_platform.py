@@ -244,6 +244,7 @@ def test_curves_that_touch_are_cut_once():
     assert large.area == pytest.approx(1e6 * small.area, abs=2.0 * large.error)
 
 
+@pytest.mark.slow
 def test_joints_that_limits_hold_turn_the_legs():
     """Held at other angles than zero they are as if the next joint were limited to others."""
 
@@ -414,6 +415,7 @@ def turned_about(boundary, points):
     return np.round(total / TURN) != 0
 
 
+@pytest.mark.slow
 def test_hunt_for_platforms_that_are_decided_wrongly(hunt: Hunt):
     """Points by common angles of the legs, by the boundary, and by the inverse model; the area by
     counting.
