@@ -43,7 +43,7 @@ def at_call(path: str, number: int) -> str:
     """
     module, _, name = path.rpartition(".")
     return (
-        f"import os, itertools, importlib\nmodule = importlib.import_module({module!r})\n"
+        f"import os, itertools, pkgutil\nmodule = pkgutil.resolve_name({module!r})\n"
         f"own, count = module.{name}, itertools.count(1)\n"
         "def counted(*given, **more):\n"
         f"    if next(count) == {number}:\n        os.kill(os.getpid(), signal.SIGINT)\n"
@@ -71,7 +71,7 @@ def test_a_path_of_targets():
     q = robot.q("ready") + 0.2 * np.linspace(0.0, 1.0, 200)[:, None]
     np.save("way.npy", robot.fk(q, HAND))
     words = f"path panda --frame {HAND} --targets way.npy --out q.csv --start"
-    stop = at_call("kempe.kernels.tasks.path_steps.follow_targets", 2)
+    stop = at_call("kempe.kernels.compiled.path_steps.follow_targets", 2)
     done = run(command(*words.split(), ",".join(map(str, q[0])), before=stop))
     assert done.returncode == 130 and "interrupted" in done.stdout, done.stderr
     rows = np.loadtxt("q.csv", delimiter=",", skiprows=1)
