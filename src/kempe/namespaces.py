@@ -1119,7 +1119,7 @@ class BodyGeometry(Namespace):
         -----
         Distances of convex shapes by the method of Gilbert, Johnson and Keerthi (1988), depths by
         expanding polytopes, both of coal. A mesh counts as its convex hull: where it is not convex,
-        the distance is too small, never too large.
+        the distance is too small; it is too large by rounding at most.
 
         Examples
         --------

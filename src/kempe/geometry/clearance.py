@@ -65,7 +65,7 @@ class NearestBodies(Report):
         d = float(self.distance[0])
         if d > 0.0:
             return f"nearest are {a!r} and {b!r}, {d:.4g} m apart"
-        return f"{a!r} and {b!r} overlap by {-d:.4g} m"
+        return f"{a!r} and {b!r} overlap by {abs(d):.4g} m"
 
     def _collect_data(self) -> dict[str, Any]:
         return {
@@ -86,12 +86,12 @@ class NearestBodies(Report):
 
 @explain_errors
 def compute_clearance(system: Model, q: Any, pairs: Pairs | None = None) -> Any:
-    """Compute the smallest distance (...) between bodies; see `Geometry.clearance`."""
+    """Compute the smallest distance (...) between bodies; see `BodyGeometry.clearance`."""
     q = read_q(system, q)
     solids = get_solids(system)
     wanted = _read_pairs(system, solids, pairs)
     poses = fk(system, q, solids.names).reshape(-1, len(solids.names), 4, 4)
-    couples = [couple for pair in wanted for couple in solids.couples[pair]]
+    couples = [couple for pair in wanted for couple in solids.list_couples(pair)]
     out = np.full(len(poses), np.inf)
     if couples:
         each = np.array(couples)
@@ -102,7 +102,7 @@ def compute_clearance(system: Model, q: Any, pairs: Pairs | None = None) -> Any:
 
 @explain_errors
 def find_nearest_bodies(system: Model, q: Any, pairs: Pairs | None = None) -> NearestBodies:
-    """Find the distance of each pair of bodies at q; see `Geometry.nearest`."""
+    """Find the distance of each pair of bodies at q; see `BodyGeometry.nearest`."""
     q = read_q(system, q)
     if q.ndim != 1:
         raise InputError(f"q has shape {q.shape}; needed is one configuration ({system.nq},)")

@@ -1,6 +1,7 @@
 """Collision shapes of bodies as objects of coal, and which pairs of bodies are looked at.
 
-Needs the extra [collision]. A mesh counts as its convex hull, so that distances are never too large.
+Needs the extra [collision]. A mesh counts as its convex hull, so that distances are too
+large by rounding at most.
 """
 
 from __future__ import annotations
@@ -42,9 +43,12 @@ MADE: dict[str, Callable[[Any, Any], Any]] = {
 
 
 class Solid(NamedTuple):
-    """A shape of a body, its place X (4, 4) in the body, and a sphere about it in the body."""
+    """A shape as coal has it, its body, its place X (4, 4) in the body, and a sphere about it in the
+    body.
+    """
 
-    geometry: Any
+    shape: Any
+    body: str
     X: Array
     center: Array
     radius: float
@@ -53,7 +57,7 @@ class Solid(NamedTuple):
 class Solids(NamedTuple):
     """All solids of a system, and the pairs of bodies that are looked at."""
 
-    solids: tuple[Solid, ...]
+    shapes: tuple[Any, ...]
     names: tuple[str, ...]
     """Bodies that have solids."""
     body_of: np.ndarray
@@ -63,9 +67,14 @@ class Solids(NamedTuple):
     centers: Array
     radii: Array
     """Centres (n, 3) in their bodies, and radii (n,), of spheres about the solids."""
-    couples: dict[tuple[str, str], list[tuple[int, int]]]
-    """For two bodies, in any order, all pairs of their solids."""
+    numbers: dict[str, list[int]]
+    """For each body, the numbers of its solids."""
     pairs: tuple[tuple[str, str], ...]
+
+    def list_couples(self, pair: tuple[str, str]) -> list[tuple[int, int]]:
+        """List all pairs of solids of two bodies."""
+        a, b = pair
+        return list(itertools.product(self.numbers[a], self.numbers[b]))
 
 
 def import_coal() -> Any:
@@ -90,19 +99,15 @@ def get_solids(system: Model) -> Solids:
             f"no body of {system.name!r} has a collision shape: `Mechanism.shape` adds one, and "
             "files may have them"
         )
-    names = tuple(dict.fromkeys(name for name, _ in found))
-    of = {name: [k for k, (n, _) in enumerate(found) if n == name] for name in names}
+    names = tuple(dict.fromkeys(solid.body for solid in found))
     solids = Solids(
-        tuple(solid for _, solid in found),
+        tuple(solid.shape for solid in found),
         names,
-        np.array([names.index(name) for name, _ in found]),
-        np.array([solid.X for _, solid in found]),
-        np.array([solid.center for _, solid in found]),
-        np.array([solid.radius for _, solid in found]),
-        {
-            (a, b): list(itertools.product(of[a], of[b]))
-            for a, b in itertools.permutations(names, 2)
-        },
+        np.array([names.index(solid.body) for solid in found]),
+        np.array([solid.X for solid in found]),
+        np.array([solid.center for solid in found]),
+        np.array([solid.radius for solid in found]),
+        {name: [k for k, solid in enumerate(found) if solid.body == name] for name in names},
         tuple(_list_pairs(mechanism, names)),
     )
     return solids._replace(pairs=_drop_touching_pairs(system, solids))
@@ -111,8 +116,8 @@ def get_solids(system: Model) -> Solids:
 # ---- shapes
 
 
-def _make_solids(mechanism: Mechanism) -> list[tuple[str, Solid]]:
-    """Make the solids of all collision shapes, each with the name of its body."""
+def _make_solids(mechanism: Mechanism) -> list[Solid]:
+    """Make the solids of all collision shapes."""
     coal = import_coal()
     given = [
         (name, shape.geometry.evaluate_sizes(mechanism.parameters), shape)
@@ -121,7 +126,7 @@ def _make_solids(mechanism: Mechanism) -> list[tuple[str, Solid]]:
         if shape.collision
     ]
     corners = _read_corners([(n, g) for n, g, _ in given if isinstance(g, Mesh)], mechanism)
-    out: list[tuple[str, Solid]] = []
+    out: list[Solid] = []
     for name, geometry, shape in given:
         if isinstance(geometry, Mesh):
             made = _make_hull(coal, corners[geometry.path] * np.array(geometry.scale, dtype=float))
@@ -130,7 +135,7 @@ def _make_solids(mechanism: Mechanism) -> list[tuple[str, Solid]]:
         made.computeLocalAABB()
         X = shape.X_BS.evaluate_pose(mechanism.parameters)
         center = X[:3, :3] @ np.ravel(made.aabb_center) + X[:3, 3]
-        out.append((name, Solid(made, X, center, float(made.aabb_radius))))
+        out.append(Solid(made, name, X, center, float(made.aabb_radius)))
     return out
 
 
@@ -200,7 +205,7 @@ class Placed:
         """Measure the distance of two bodies, and their nearest points."""
         best = np.inf
         points = (np.zeros(3), np.zeros(3))
-        for i, j in self._solids.couples[pair]:
+        for i, j in self._solids.list_couples(pair):
             d = self._measure_solids(i, j)
             if d < best:
                 best = d
@@ -225,7 +230,7 @@ class Placed:
     def _measure_solids(self, i: int, j: int) -> float:
         """Measure the distance of two solids."""
         self._result.clear()
-        a, b = (self._solids.solids[k].geometry for k in (i, j))
+        a, b = (self._solids.shapes[k] for k in (i, j))
         places = (self._place_solid(i), self._place_solid(j))
         return float(self._measure(a, places[0], b, places[1], self._request, self._result))
 

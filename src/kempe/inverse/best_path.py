@@ -24,7 +24,7 @@ from kempe.model.configurations import (
     find_free_angles,
     shorten_turns,
 )
-from kempe.model.coordinates import find_periodic_angles
+from kempe.model.coordinates import find_returning_angles
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -46,15 +46,17 @@ class Home(NamedTuple):
 # ---- the cost of a path
 
 
-def compute_motion(way: FollowedPath, q: Array) -> float:
-    """Compute the length of the path of configurations (n, nq)."""
+def compute_motion(way: FollowedPath, path: IkPath) -> float:
+    """Compute the length of the path of the configurations that reach their targets."""
+    q = path.q[path.success]
     moved = way.system.structure.layout.compute_difference(q[:-1], q[1:])
     return float(np.linalg.norm(moved, axis=-1).sum())
 
 
-def compute_limit_nearness(way: FollowedPath, q: Array) -> float:
-    """Compute how near configurations (n, nq) come to limits: 0 in the middle, 1 at a limit."""
+def compute_limit_nearness(way: FollowedPath, path: IkPath) -> float:
+    """Compute how near the path comes to limits: 0 in the middle, 1 at a limit."""
     system = way.system
+    q = path.q[path.success]
     layout = system.structure.layout
     half = 0.5 * (system.upper - system.lower)
     bounded = np.isfinite(half) & (half > 0.0)
@@ -62,17 +64,18 @@ def compute_limit_nearness(way: FollowedPath, q: Array) -> float:
     return float(np.abs(away[:, bounded] / half[bounded]).max(initial=0.0))
 
 
-def compute_singular_nearness(way: FollowedPath, q: Array) -> float:
+def compute_singular_nearness(way: FollowedPath, path: IkPath) -> float:
     """Compute the largest ratio of singular values, largest by smallest, of the targets' Jacobian."""
     ratios = (
-        way.compute_first_order_step(way.rows[i], x).ratio
-        for i, x in enumerate(q)
-        if np.isfinite(x).all()
+        way.compute_first_order_step(way.rows[i], path.q[i]).ratio
+        for i in np.flatnonzero(path.success).tolist()
     )
     return max((1.0 / max(r, 1e-300) for r in ratios), default=math.inf)
 
 
-COSTS: dict[str, Callable[[FollowedPath, Array], float]] = {
+Cost = Callable[["FollowedPath", "IkPath"], float]
+
+COSTS: dict[str, Cost] = {
     "motion": compute_motion,
     "limits": compute_limit_nearness,
     "singularities": compute_singular_nearness,
@@ -80,13 +83,13 @@ COSTS: dict[str, Callable[[FollowedPath, Array], float]] = {
 """What a path costs, by name: the smallest is the best."""
 
 
-def read_cost(cost: Any) -> Callable[[FollowedPath, Array], float]:
+def read_cost(cost: Any) -> Cost:
     """Return the function of a cost that is given by name or as a function of q (n, nq)."""
     if isinstance(cost, str) and cost in COSTS:
         return COSTS[cost]
     if callable(cost):
         function = cast("Callable[[Array], float]", cost)
-        return lambda way, q: float(function(q))
+        return lambda way, path: float(function(path.q[path.success]))
     raise InputError(
         f"cost is {cost!r}; it must be one of {', '.join(map(repr, COSTS))} or a function of the "
         "configurations (n, nq) that returns a number"
@@ -141,7 +144,7 @@ def find_best_branch(
     starts: list[Array],
     begin: int,
     restart: bool,
-    measure: Callable[[FollowedPath, Array], float],
+    measure: Cost,
 ) -> IkPath:
     """Find the path that gets farthest, then that with the most targets, then the fewest jumps, then
     the cheapest.
@@ -164,7 +167,9 @@ def find_best_branch(
             break
     orders = [_rank_path(path) for path in paths]
     best = [p for p, order in zip(paths, orders, strict=True) if order == min(orders)]
-    return best[0] if len(best) == 1 else min(best, key=lambda p: measure(way, p.q[p.success]))
+    if len(best) == 1 or not best[0].success.any():
+        return best[0]
+    return min(best, key=lambda p: measure(way, p))
 
 
 def _rank_path(path: IkPath) -> tuple[int, int, int]:
@@ -181,11 +186,9 @@ def _find_turning_coordinates(system: Model) -> np.ndarray:
     """Return a mask (nv,) of angles with limits more than a turn apart, for which a full turn
     changes nothing.
     """
-    c = system.structure.coordinates
-    endless = replace(c, lower=np.full_like(c.lower, -np.inf), upper=np.full_like(c.upper, np.inf))
     width = system.upper - system.lower
     return (
-        find_periodic_angles(system._mechanism, endless)
+        find_returning_angles(system._mechanism, system.structure.coordinates)
         & np.isfinite(width)
         & (width > 2.0 * math.pi)
     )
@@ -222,7 +225,7 @@ def _add_turns(way: FollowedPath, path: IkPath, circle: np.ndarray, start: Array
 # ---- paths that return
 
 
-def close_path(way: FollowedPath, path: IkPath, begin: int) -> IkPath:
+def close_path(way: FollowedPath, path: IkPath) -> IkPath:
     """Change a whole path so that its last configuration is its first, if it can be.
 
     A path that is always as near as it can be to its first configuration returns. Angles without
@@ -241,7 +244,7 @@ def close_path(way: FollowedPath, path: IkPath, begin: int) -> IkPath:
     whole = system.structure.layout.compute_difference(first, path.q[-1])
     wound = find_free_angles(system) & (np.abs(whole) > math.pi)
     way.home = Home(first, np.where(wound, 0.0, 1.0))
-    near = way.follow_path(first, False, begin)
+    near = way.follow_path(first, False)
     way.home = None
     if near.late or near.interrupted:
         return near

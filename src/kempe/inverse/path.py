@@ -420,9 +420,7 @@ class PathSteps:
                 )
             ]
         ] = 0.0
-        J = self.evaluate_residuals(self.rows[i], q)[1]
-        N = Spectrum(J).compute_null_space(Level.GENERIC).T
-        way = N.T @ (N @ pull)
+        way = self.project_on_self_motions(i, q, pull)
         size = float(np.linalg.norm(way))
         if size < 1e-9:
             return q
@@ -433,6 +431,12 @@ class PathSteps:
                 return found
         return q
 
+    def project_on_self_motions(self, i: int, q: Array, v: Array) -> Array:
+        """Project a scaled velocity (nv,) on the self-motions of target i at q."""
+        J = self.evaluate_residuals(self.rows[i], q)[1]
+        N = Spectrum(J).compute_null_space(Level.GENERIC).T
+        return N.T @ (N @ v)
+
     def move_home(self, i: int, q: Array, home: Home) -> Array:
         """Move by self-motion at target i to the configuration that is nearest to `home`.
 
@@ -441,9 +445,7 @@ class PathSteps:
         layout = self.system.structure.layout
         for _ in range(HOMEWARDS):
             pull = home.weights * layout.compute_difference(q, home.q) / self.scale
-            J = self.evaluate_residuals(self.rows[i], q)[1]
-            N = Spectrum(J).compute_null_space(Level.GENERIC).T
-            way = N.T @ (N @ pull)
+            way = self.project_on_self_motions(i, q, pull)
             size = float(np.linalg.norm(way))
             if size < 1e-9:
                 break
@@ -802,7 +804,7 @@ def solve_path(problem: Problem) -> IkPath:
         path = find_best_branch(way, starts, begin, restart, options["cost"])
     else:
         path = way.keep_rolling_part(way.find_best_path(starts[0], restart, begin), begin)
-    return close_path(way, path, begin) if options["closed"] else path
+    return close_path(way, path) if options["closed"] else path
 
 
 def _make_pose_task(system: Model, targets: Any, frame: FrameLike) -> Constraint:

@@ -522,7 +522,14 @@ def find_periodic_angles(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     """Which velocity coordinates (nv,) are angles without limits, so that a full turn changes
     nothing.
     """
-    back = c.turning & np.isinf(c.lower) & np.isinf(c.upper)
+    return find_returning_angles(mechanism, c) & np.isinf(c.lower) & np.isinf(c.upper)
+
+
+def find_returning_angles(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
+    """Which velocity coordinates (nv,) are angles of which a full turn changes no pose, whatever
+    their limits.
+    """
+    back = c.turning.copy()
     number = {name: i for i, name in enumerate(c.velocity_names)}
     for joint in mechanism.joints.values() if c.followers else ():
         names = list_coordinate_names(mechanism, joint)
