@@ -22,14 +22,21 @@ SOFTWARE = [
 high: even widths."""
 
 
-def project_point(camera: Any, p: Any) -> tuple[float, float]:
-    """Where a point (3,) is on the page of a pinhole camera of viser."""
+def measure_picture(tab: Any) -> tuple[float, float]:
+    """Width and height of the picture on a page; the camera's are those of what is drawn, which is
+    coarser where drawing takes long.
+    """
+    box = tab.locator("canvas").first.bounding_box()
+    return box["width"], box["height"]
+
+
+def project_point(tab: Any, camera: Any, p: Any) -> tuple[float, float]:
+    """Where a point (3,) is on a page with a pinhole camera of viser."""
     z = camera.look_at - camera.position
     z = z / np.linalg.norm(z)
     x = np.cross(z, camera.up_direction)
     x = x / np.linalg.norm(x)
     v = np.asarray(p) - camera.position
-    wide = 0.5 * camera.image_width
-    high = 0.5 * camera.image_height
+    wide, high = 0.5 * np.array(measure_picture(tab))
     scale = high / np.tan(0.5 * camera.fov) / (v @ z)
     return wide + scale * (v @ x), high - scale * (v @ np.cross(x, z))

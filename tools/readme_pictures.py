@@ -112,7 +112,7 @@ def draw_page() -> Iterator[Image.Image]:
             """Find where arrow k of the hand is on the page."""
             X = page.session.pose
             p = X[:3, 3] + 0.2 * page.nodes.drawn.rigid.size * X[:3, k]
-            return np.array(project_point(page.client.camera, p))
+            return np.array(project_point(tab, page.client.camera, p))
 
         def shoot() -> Image.Image:
             tab.wait_for_timeout(150)

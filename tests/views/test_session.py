@@ -376,13 +376,13 @@ def test_a_camera_has_all_of_a_motion_in_sight():
 # ---- what is seen at first
 
 
-@pytest.mark.parametrize("aspect", [0.5, 1.0, 2.0])
-@pytest.mark.parametrize("below", [0.0, 0.6])
-def test_the_nearest_camera_has_all_points_in_its_frame(aspect, below):
+@pytest.mark.parametrize("aspect", [0.3, 0.5, 0.8, 1.0, 2.0])
+def test_the_nearest_camera_has_all_points_in_its_frame(aspect):
     """Projected by a formula of its own: one direction is filled, and nothing is beyond it."""
     rng = np.random.default_rng(0)
     points = rng.normal(size=(200, 3)) * [3.0, 1.0, 0.5] + [5.0, -2.0, 1.0]
-    camera, at = fit_camera(points, np.array([0.6, -0.85, 0.4]), UP, 1.3, aspect, below)
+    below = 0.6 if aspect < 0.75 else 0.0
+    camera, at = fit_camera(points, np.array([0.6, -0.85, 0.4]), UP, 1.3, aspect)
     assert is_in_sight(points, camera, at, UP, 1.3, aspect)
     z = (at - camera) / np.linalg.norm(at - camera)
     x = np.cross(z, UP) / np.linalg.norm(np.cross(z, UP))

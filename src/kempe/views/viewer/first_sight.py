@@ -174,16 +174,21 @@ def _measure_regularity(system: Model, q: Array, frame: str, scale: float) -> Ar
 
 FILL = 0.72
 """Part of the picture's width or height that what is drawn takes."""
+UPRIGHT = 0.75
+"""Width by height of a picture up to which the panel may lie over it, from below, as on phones;
+elsewhere it is beside the picture. Browsers report sizes in pixels of the screen, of which a phone
+has more than a desk."""
+COVERED = 0.6
+"""Part of the height that the panel covers there at most."""
 
 
-def fit_camera(
-    points: Array, away: Array, upright: Array, opening: float, aspect: float, below: float = 0.0
-) -> tuple[Array, Array]:
-    """Find the nearest place (3,) of a camera with all points (n, 3) in sight, and where it looks.
+def fit_camera(points: Array, away: Array, upright: Array, opening: float, aspect: float) -> Array:
+    """Find the nearest place of a camera with all points (n, 3) in sight, and where it looks (2, 3).
 
     It looks against `away` (3,), with `upright` (3,) upwards. `opening` is the angle of the picture's
-    height; `aspect` its width by its height, of which the part `below` is covered.
+    height, `aspect` its width by its height. Of an upright picture the lower part stays free.
     """
+    below = COVERED if aspect < UPRIGHT else 0.0
     z = away / np.linalg.norm(away)
     x = np.cross(upright, z)
     x /= np.linalg.norm(x)
@@ -198,7 +203,7 @@ def fit_camera(
     far = float((0.5 * (high - low) / filled).max())
     place = 0.5 * (high + low) - middle * far
     near = float(0.5 * (p[:, 2].min() + p[:, 2].max()))
-    return np.array([*place, far]) @ axes, np.array([*place, near]) @ axes
+    return np.array([[*place, far], [*place, near]]) @ axes
 
 
 def is_in_sight(

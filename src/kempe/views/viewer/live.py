@@ -14,7 +14,6 @@ import time
 import traceback
 import webbrowser
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -251,6 +250,8 @@ SLIDE = 0.1
 """Seconds between two updates of sliders while something else is dragged."""
 PAUSE = 0.25
 """Seconds of rest after which the slower sentences are said."""
+SAME_VIEW = 1e-4
+"""Parts of its distance by which the view of a camera may be off another to count as that."""
 TILT = np.deg2rad(50.0)
 """Angle up to which a planar system is looked at from aside."""
 DEGREE = np.pi / 180.0
@@ -262,16 +263,23 @@ QUICK = 0.1
 """Seconds that a search may take which is repeated while a target is dragged."""
 
 
+def get_view(camera: Any) -> Array:
+    """Get where a camera is and where it looks (2, 3)."""
+    return np.array([camera.position, camera.look_at])
+
+
+def is_same_view(a: Array, b: Array) -> bool:
+    """Tell whether two views (2, 3) are the same."""
+    return float(np.linalg.norm(a - b)) <= SAME_VIEW * float(np.linalg.norm(b[0] - b[1]))
+
+
 class Page:
     """A page in a browser with its session; a thread answers events one after the other.
 
-    Of events of the same control that wait, only the last is answered. The panel covers the part
-    `below` of the picture's height.
+    Of events of the same control that wait, only the last is answered.
     """
 
-    def __init__(
-        self, viewer: Viewer, client: Any, session: Session, drawn: Drawn, below: float = 0.0
-    ):
+    def __init__(self, viewer: Viewer, client: Any, session: Session, drawn: Drawn):
         self.viewer = viewer
         self.client = client
         self.session = session
@@ -289,7 +297,7 @@ class Page:
         self.searches = Beside(self.post_action, self._show_text)
         self.overlays = Beside(self.post_action, self._show_text)
         self.follow = False
-        self.below = below
+        self.placed = [get_view(viewer.server.initial_camera)]
         self.framed = drawn.points
         self.upright = False
         with client.atomic():
@@ -735,16 +743,32 @@ class Page:
         """Move the camera to have points (n, 3) in sight, unless someone looks at a detail."""
         camera = self.client.camera
         up = self.nodes.drawn.upright
-        place = np.array(camera.position), np.array(camera.look_at)
+        place = get_view(camera)
         aspect = camera.image_width / camera.image_height
         if not is_in_sight(self.framed, *place, up, camera.fov, aspect) or is_in_sight(
             points, *place, up, camera.fov, aspect
         ):
             return
         every = np.concatenate([self.framed, points])
-        place = fit_camera(every, place[0] - place[1], up, camera.fov, aspect, self.below)
+        place = fit_camera(every, place[0] - place[1], up, camera.fov, aspect)
         with self.client.atomic():
             camera.position, camera.look_at = place
+
+    def uncover_system(self, camera: Any) -> None:
+        """Move a camera that nobody has moved, so that it suits the picture's present size.
+
+        A picture is as wide as the page before the panel is laid beside it.
+        """
+        if self.open and any(is_same_view(get_view(camera), view) for view in self.placed):
+            self.place_camera(camera)
+
+    def place_camera(self, camera: Any) -> None:
+        """Place a camera so that the system is in the picture."""
+        aspect = camera.image_width / camera.image_height
+        wanted = self.nodes.drawn.find_place(aspect)
+        if not is_same_view(get_view(camera), wanted):
+            self.placed[1:] = [wanted]
+            self.nodes.drawn.place_camera(camera, aspect)
 
     def limit_tilt(self, camera: Any) -> None:
         """Put a camera back that looks at a planar system from too far aside."""
@@ -774,16 +798,6 @@ def format_html(text: str) -> str:
 
 PORT = 8080
 """The first port that is tried; of those that follow, the first that is free is taken."""
-PANEL = 324
-"""Pixels that the panel takes beside the picture when a page is opened."""
-SHEET = 576
-"""Pixels up to which a page is so narrow that viser lays the panel over the picture, from below, as
-on phones."""
-COVERED = 0.6
-"""Part of the height that it covers there at most."""
-SAME_VIEW = 1e-4
-"""Parts of its distance by which a camera may be off the one that pages begin with, to count as
-that."""
 
 
 def show(
@@ -888,31 +902,11 @@ class Viewer:
         session.lock = self.session.lock if self.share else threading.RLock()
         client.camera.max_orbit_distance = float("inf")
         client.camera.min_orbit_distance = self.drawn.near
-        # later without the panel
-        wide = client.camera.image_width
-        high = client.camera.image_height
-        below = COVERED if wide <= SHEET else 0.0  # a width of 575 may be reported as 576
-        aspect = (wide if below else wide - PANEL) / high
-        client.camera.on_update(partial(self._uncover_system, aspect=aspect, below=below))
-        self.drawn.place_camera(client.camera, aspect, below)
-        page = self.pages[client.client_id] = Page(self, client, session, self.drawn, below)
+        page = self.pages[client.client_id] = Page(self, client, session, self.drawn)
+        page.place_camera(client.camera)
+        client.camera.on_update(page.uncover_system)
         if self.system.dim == 2:
             client.camera.on_update(page.limit_tilt)
-
-    def _uncover_system(self, camera: Any, aspect: float, below: float) -> None:
-        """Move a camera that is at its initial place so that the panel covers nothing."""
-        begin = self.server.initial_camera
-        here, first, wanted = (
-            np.array(place)
-            for place in (
-                (camera.position, camera.look_at),
-                (begin.position, begin.look_at),
-                self.drawn.find_place(aspect, below),
-            )
-        )
-        same = SAME_VIEW * float(np.linalg.norm(first[0] - first[1]))
-        if np.linalg.norm(here - first) <= same < np.linalg.norm(here - wanted):
-            self.drawn.place_camera(camera, aspect, below)
 
     def _close_page(self, client: Any) -> None:
         """Remove the page of a client that has left."""

@@ -585,22 +585,18 @@ class Drawn:
         """Least distance [m] of the camera from visible objects."""
         return NEAR * max(self.rigid.size, 1e-9)
 
-    def place_camera(self, camera: Any, aspect: float = 1.0, below: float = 0.0) -> None:
-        """Place a camera so that the system is in the picture.
-
-        `aspect` is the width of the picture by its height; of the latter the part `below` is
-        covered.
-        """
+    def place_camera(self, camera: Any, aspect: float = 1.0) -> None:
+        """Place a camera so that the system is in a picture of width by height `aspect`."""
         camera.fov = OPENING[self.system.dim]
         camera.near = self.near
         camera.far = FAR * max(float(np.ptp(self.points, axis=0).max()), 1e-9)
-        camera.position, camera.look_at = self.find_place(aspect, below)
+        camera.position, camera.look_at = self.find_place(aspect)
 
-    def find_place(self, aspect: float, below: float) -> tuple[Array, Array]:
-        """Find where a camera is (3,) that has the system in the picture, and where it looks (3,)."""
+    def find_place(self, aspect: float) -> Array:
+        """Find where a camera is that has the system in the picture, and where it looks (2, 3)."""
         away = UPWARDS if self.system.dim == 2 else ASIDE
         opening = OPENING[self.system.dim]
-        return fit_camera(self.points, away, self.upright, opening, aspect, below)
+        return fit_camera(self.points, away, self.upright, opening, aspect)
 
     @property
     def upright(self) -> Array:
