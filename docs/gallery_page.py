@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 import sys
 from pathlib import Path
 
@@ -24,6 +25,8 @@ WIDTH = 480
 SMALL = 220
 COLUMNS = 3
 """Thumbnails in a row."""
+DOF = re.compile(r"[,;:] \d+ DoF(?: \(Grübler count: -?\d+\))?$")
+"""End of the line about a model that says its DoF, which a cell says before."""
 
 HEAD = """\
 # Gallery
@@ -40,7 +43,7 @@ MODEL = """\
 
 <!-- Written by docs/gallery_page.py from kempe.library; do not edit. -->
 
-{line}. {dof}.
+{line}.
 
 ![{name}](../_static/gallery/{name}.png)
 
@@ -66,7 +69,8 @@ import kempe
 robot = kempe.load("{name}")
 print(robot.mobility().sentence)
 X = robot.fk(robot.mid, "{frame}")
-print(X[:3, 3].round(3), robot.ik(X, "{frame}").success)
+print(X[:3, 3].round(3))
+print(robot.ik(X, "{frame}").status)
 robot.plot(robot.mid)
 """
 CLOSED = """\
@@ -75,7 +79,8 @@ import kempe
 system = kempe.load("{name}")
 print(system.mobility().sentence)
 closed = system.assemble()
-print(closed.success, closed.q.round(3))
+print(closed.status)
+print(closed.q.round(3))
 system.plot(closed.q)
 """
 FIXED = """\
@@ -113,7 +118,8 @@ def grid(cells: list[str]) -> str:
 def cell(name: str, system: kempe.System) -> str:
     """A thumbnail that leads to the page of the model, its name, the DoF, a line."""
     picture = f"[![{name}](_static/gallery/small/{name}.png)](gallery/{name}.md)"
-    return f"{picture}<br>`{name}`, {count_dof(system)}<br>{library.describe_model(name)}"
+    line = DOF.sub("", library.describe_model(name))
+    return f"{picture}<br>`{name}`, {count_dof(system)}<br>{line}"
 
 
 def count_dof(system: kempe.System) -> str:
@@ -121,7 +127,7 @@ def count_dof(system: kempe.System) -> str:
     found = system.mobility()
     dof = f"{found.dof} DoF"
     if found.dof != found.gruebler:
-        dof += f" (count: {found.gruebler})"
+        dof += f" (Grübler count: {found.gruebler})"
     if found.idle:
         dof += f", {found.idle} idle"
     return dof
@@ -134,7 +140,6 @@ def model_page(name: str, system: kempe.System) -> str:
         name=name,
         title=name.replace("_", " "),
         line=library.describe_model(name).rstrip("."),
-        dof=count_dof(system),
         code=code,
         printed=run(code.rpartition("\n")[0].rpartition("\n")[0]),
         toml=write_toml(kempe.read(name)),

@@ -115,7 +115,7 @@ def test_counts_and_what_the_files_say(case: Case):
     assert 3 * len(bodies) - taken == case.count
     text = library.find_model_file(case.name).read_text(encoding="utf-8")
     numbers = re.search(
-        r"# Count in the plane: 3 \* (\d+) bodies - 2 \* (\d+) joints = (-?\d+).*Truth: (\d)", text
+        r"# Count in the plane: 3 \* (\d+) bodies - 2 \* (\d+) joints = (-?\d+).*DoF: (\d)", text
     )
     if case.name != "four_bar":  # it writes the count in another form
         assert numbers is not None
