@@ -3,7 +3,7 @@ browser.
 
 ``python benchmarks/viewer.py`` prints medians and 90th percentiles in milliseconds: of a slider of
 a humanoid (Talos of example-robot-data where that is installed), of a target of a UR5 with its
-other solutions as ghosts, and of loops.
+other solutions as ghosts, of loops, and of dimensions of linkages.
 """
 
 from __future__ import annotations
@@ -53,6 +53,12 @@ def slider(page: Page, number: int) -> Callable[[int], object]:
     )
 
 
+def dimension(page: Page, name: str) -> Callable[[int], object]:
+    """Events of a parameter that goes to and fro by 5 % of its value."""
+    value = page.session.system.structure.parameters[name]
+    return lambda k: page.session.set_dimension(name, value * (1.0 + 0.05 * np.sin(0.1 * k)))
+
+
 def target(page: Page) -> Callable[[int], object]:
     """Events of a target that goes round a circle of 2 cm, with the other solutions found anew."""
     X = page.session.pose.copy()
@@ -86,6 +92,9 @@ def main() -> None:
     for name in ("four_bar", "delta_uu", "stewart_sps"):
         page = page_of(kempe.load(name))
         rows.append((f"{name}: a slider", *timed(page, slider(page, 0))))
+    for name, parameter in (("four_bar", "b"), ("watt_six_bar", "b"), ("jansen", "k")):
+        page = page_of(kempe.load(name))
+        rows.append((f"{name}: a dimension", *timed(page, dimension(page, parameter))))
     print("| | median, ms | 90 % of events, ms |\n|---|--:|--:|")
     for name, median, high in rows:
         print(f"| {name} | {median:.2f} | {high:.2f} |")

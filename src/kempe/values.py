@@ -203,6 +203,27 @@ def evaluate_value(x: Value, parameters: Mapping[str, Any]) -> Any:
     return x.evaluate(parameters) if isinstance(x, Expression) else x
 
 
+def find_angle_names(x: Value, turns: bool) -> frozenset[str]:
+    """Find the parameters that are angles in a value, which is an angle itself if it `turns`.
+
+    These are the arguments of sine, cosine and tangent, and, in an angle, what is outside of
+    functions.
+    """
+
+    def find_names(node: ast.AST, turns: bool) -> frozenset[str]:
+        """Find the names of angles below a node of the syntax tree."""
+        if isinstance(node, ast.Name):
+            return frozenset([node.id] if turns else [])
+        inner = node.args if isinstance(node, ast.Call) else ast.iter_child_nodes(node)
+        if isinstance(node, ast.Call):
+            turns = isinstance(node.func, ast.Name) and node.func.id in ("sin", "cos", "tan")
+        return frozenset[str]().union(*(find_names(child, turns) for child in inner))
+
+    if not isinstance(x, Expression):
+        return frozenset()
+    return find_names(x._tree.body, turns).intersection(x.names)
+
+
 def negate_value(x: Value) -> Value:
     """Return the value with the opposite sign; a double minus is removed."""
     return -x

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hunts import some
 
 import kempe
-from kempe.equations.judge import judge_configurations
+from kempe.equations.judge import closure_error, judge_configurations
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.motion.transmission import compute_transmission_angle
 from kempe.views.drawing.labels import fit_sentence
+from kempe.views.viewer.dimensions import describe_four_bar, write_mechanism
 from kempe.views.viewer.first_sight import FILL, fit_camera, is_in_sight
 from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
 from kempe.views.viewer.scene_nodes import Drawn
@@ -519,3 +523,96 @@ def test_what_is_out_of_reach_is_said_in_plain_words():
     reach = np.linalg.norm(arm.system.fk(np.zeros(2), "e")[:3, 3])
     arm.reach_pose(X, quick=False)
     assert arm.status == f"out of reach: nearest is {float(f'{10.0 - reach:.2g}'):g} m away"
+
+
+# ---- dimensions
+
+CHANGED = (
+    ("watt_six_bar", "b", "m"),
+    ("four_bar", "b", "m"),
+    ("jansen", "k", "m"),
+    ("slider_crank", "l", "m"),
+    ("rssr", "coupler", "m"),
+    ("bricard_line_symmetric", "alpha", "rad"),
+    ("stewart", "base_angle", "rad"),
+    ("watt_six_bar", "bend", "rad"),
+    ("panda", "d3", "m"),
+)
+
+
+@pytest.mark.parametrize(("name", "parameter", "unit"), some(CHANGED, 5))
+def test_dimensions_change_with_closed_loops(name, parameter, unit):
+    """A parameter is led down by a third and back: loops are closed to 1e-9 at each step, the
+    parameter is what was wanted, and coordinates that lead stay where they can.
+    """
+    system = kempe.load(name)
+    session = Session(system)
+    (first,) = (d for d in session.dimensions if d.name == parameter)
+    assert first.unit == unit and first.low < first.value < first.high
+    leads = [s.name for s in session.sliders]
+    for part in (*np.linspace(1.0, 0.7, 7), 1.0):
+        session.set_dimension(parameter, part * first.value)
+        assert np.abs(closure_error(session.system, session.q)).max(initial=0.0) < 1e-9
+        assert judge_configurations(session.system, session.q)
+        if not session.status:
+            assert session.system.structure.parameters[parameter] == part * first.value
+    assert [s.name for s in session.sliders] == leads
+    session.reset_dimensions()
+    assert session.system is system and closed(session)
+
+
+def test_dimensions_stay_the_last_that_close():
+    """A coupler that gets too long for its four-bar stops where the other bars are stretched to it,
+    by the triangle that they then are.
+    """
+    session = Session(kempe.load("four_bar"))
+    session.set_dimension("b", 2.0)
+    sizes = session.system.structure.parameters
+    # the crank may turn, and the open chain of the other three bars reaches a + c + d
+    assert 0.85 < sizes["b"] <= 0.9 and closed(session)
+    assert "do not close" in session.status and "b = 2" in session.status
+    session.set_dimension("b", 0.5)
+    assert not session.status and closed(session)
+
+
+def test_a_system_without_parameters_has_no_dimensions():
+    assert Session(kempe.load("two_link")).dimensions
+    assert not Session(kempe.load("car")).dimensions
+
+
+FOUR_BARS = (
+    ((0.1, 0.5, 0.4, 0.4), "Crank-rocker"),
+    ((0.4, 0.5, 0.4, 0.1), "Double-crank"),
+    ((0.4, 0.1, 0.45, 0.4), "Double-rocker"),
+    ((0.4, 0.5, 0.1, 0.4), "Rocker-crank"),
+    ((0.3, 0.32, 0.4, 0.5), "Triple-rocker"),
+    ((0.2, 0.4, 0.2, 0.4), "Change-point"),
+)
+
+
+@pytest.mark.parametrize(("lengths", "kind"), FOUR_BARS)
+def test_a_four_bar_is_named_by_grashof_with_its_transmission_angle(lengths, kind):
+    """The extremes are those of the angle along the whole motion."""
+    system = kempe.load("four_bar").with_parameters(**dict(zip("abcd", lengths, strict=True)))
+    q = system.assemble(start=system.q("closed")).q
+    said = describe_four_bar(system, q, "A")
+    assert said.startswith(kind)
+    here, least, most = map(float, re.findall(r"([\d.]+)°", said))
+    angle = np.rad2deg(compute_transmission_angle(system, system.trace("A", start=q).q, "C"))
+    assert here == pytest.approx(np.rad2deg(compute_transmission_angle(system, q, "C")), abs=0.051)
+    assert least - 0.051 <= angle.min() < least + 3.0
+    assert most + 0.051 >= angle.max() > most - 3.0
+
+
+def test_what_is_said_of_four_bars_is_said_of_them_only():
+    for name in ("watt_six_bar", "slider_crank", "five_bar", "bennett", "panda"):
+        session = Session(kempe.load(name))
+        assert not session.describe_dimensions()
+
+
+def test_a_changed_mechanism_is_written_with_postures_that_close():
+    session = Session(kempe.load("watt_six_bar"))
+    session.set_dimension("b", 0.3)
+    again = kempe.read(write_mechanism(session.system)).build()
+    assert again.structure.parameters == session.system.structure.parameters
+    assert judge_configurations(again, again.q("closed"))

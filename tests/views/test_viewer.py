@@ -25,7 +25,7 @@ from robots import DATA
 
 import kempe
 from kempe.description.meshes import PlacedMesh, read_body_meshes
-from kempe.equations.judge import judge_configurations
+from kempe.equations.judge import closure_error, judge_configurations
 from kempe.errors import InputError, UnknownNameError
 from kempe.views.drawing.scene import build_scene
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, RigidParts, write_glb
@@ -800,6 +800,72 @@ def test_what_is_drawn_is_framed_and_stays_in_sight(browser, name):
             seen.tab.keyboard.press("r")
             assert seen.until(lambda old=q: not np.allclose(viewer.q, old))
             assert seen.until(lambda: measure()[0].min() > -0.01 and measure()[1].max() < 1.01)
+        seen.tab.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "parameter"), [("watt_six_bar", "b"), ("slider_crank", "l"), ("rssr", "coupler")]
+)
+def test_a_dimension_is_dragged_with_closed_loops(browser, name, parameter):
+    """By the mouse: loops are closed to 1e-9 after each drag, the links are drawn in their new
+    length, the curve follows, and all is undone by a button.
+    """
+    system = kempe.load(name)
+    with system.show(port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer, high=800)
+        page = seen.page
+        seen.press("curve")
+        assert seen.until(lambda: "curve" in page.nodes.laid)
+        seen.press("dimensions")
+        at = len(page.sliders) + list(page.dimensions).index(parameter)
+        thumb = seen.tab.get_by_role("slider").nth(at)
+        for by in (-15.0, 8.0):
+            old = viewer.system
+            curve = page.nodes.laid["curve"]
+            thumb.scroll_into_view_if_needed()
+            seen.tab.wait_for_timeout(500)
+            box = thumb.bounding_box()
+            middle = np.array([box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]])
+            seen.drag(middle, middle + [by, 0.0])
+            assert seen.until(lambda old=old: viewer.system is not old)
+            assert seen.until(lambda old=curve: page.nodes.laid["curve"] is not old)
+            seen.tab.wait_for_timeout(1000)
+            changed = viewer.system
+            assert np.abs(closure_error(changed, viewer.q)).max() < 1e-9
+            value = changed.structure.parameters[parameter]
+            assert page.dimensions[parameter].value == pytest.approx(value, abs=1e-9)
+            assert page.nodes.drawn.system is changed
+            anew = Drawn(changed, viewer.q)
+            here, there = (d.compute_extremes(viewer.q[None]) for d in (page.nodes.drawn, anew))
+            r = anew.rigid.r
+            assert np.allclose(here.min(axis=0), there.min(axis=0), atol=r)
+            assert np.allclose(here.max(axis=0), there.max(axis=0), atol=r)
+        seen.press("undo all")
+        assert seen.until(lambda: viewer.system is system)
+        assert judge_configurations(system, viewer.q)
+        seen.tab.close()
+
+
+@pytest.mark.slow
+def test_a_changed_mechanism_is_saved_and_copied(browser, tmp_path):
+    """By the mouse: the file that the browser saves, and the clipboard, hold the dimensions."""
+    bar = kempe.load("four_bar")
+    with bar.show(port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer, high=800)
+        session = seen.page.session
+        seen.tab.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        with session.lock:
+            session.set_dimension("b", 0.45)
+        seen.press("dimensions")
+        with seen.tab.expect_download() as download:
+            seen.press("save")
+        download.value.save_as(tmp_path / "bar.toml")
+        assert kempe.load(tmp_path / "bar.toml").structure.parameters["b"] == 0.45
+        seen.press("copy as TOML")
+        text = (tmp_path / "bar.toml").read_text()
+        copied = "() => navigator.clipboard.readText()"
+        assert seen.until(lambda: seen.tab.evaluate(copied) == text)
         seen.tab.close()
 
 

@@ -177,11 +177,14 @@ class PlacedMesh(NamedTuple):
 
 
 def read_body_meshes(
-    mechanism: Mechanism, meanwhile: Callable[[], object] | None = None
+    mechanism: Mechanism,
+    meanwhile: Callable[[], object] | None = None,
+    known: dict[Source, Triangles | str] | None = None,
 ) -> tuple[dict[str, list[PlacedMesh]], list[str]]:
     """The meshes of each body by its name, and a sentence for each mesh that cannot be shown.
 
-    `meanwhile` is called while they are read, if there are any.
+    `meanwhile` is called while they are read, if there are any. What is `known` is not read again;
+    what is read becomes known.
     """
     folders = Folders(mechanism.roots)
     wanted: list[tuple[str, Source, Array, Array]] = []
@@ -192,7 +195,8 @@ def read_body_meshes(
                 wanted.append((name, *_find_source(shape, mechanism, folders)))
             except KempeError as error:
                 lost.append(f"{name}: {error}")
-    read = read_meshes((source for _, source, *_ in wanted), meanwhile)
+    read = {} if known is None else known
+    read |= read_meshes((source for _, source, *_ in wanted if source not in read), meanwhile)
     meshes: dict[str, list[PlacedMesh]] = {}
     total = 0
     for name, source, scale, X in wanted:

@@ -39,6 +39,7 @@ from kempe.model.model import keep_answers
 from kempe.model.structural_order import make_sort_key
 from kempe.report import Table
 from kempe.spatial import Array
+from kempe.values import find_angle_names
 from kempe.words import ByName, Quantity, format_count
 
 if TYPE_CHECKING:
@@ -578,6 +579,21 @@ def list_units(system: Model) -> dict[str, str]:
         for name in joint.type.list_velocity_names(system.dim, particle):
             out.setdefault(format_coordinate_name(joint.name, name), "rad")
     return out
+
+
+def list_parameter_units(system: Model) -> dict[str, str]:
+    """Return the unit of each parameter by name: 'rad' if placements turn by it, else 'm'."""
+    mechanism = system._mechanism
+    ends = [X for joint in mechanism.joints.values() for X in (joint.X_PF, joint.X_CM)]
+    ends += [frame.X_BF for frame in mechanism.frames.values()]
+    angles = {
+        name
+        for X in ends
+        for motion, numbers in X.steps
+        for x in numbers
+        for name in find_angle_names(x, motion in ("rx", "ry", "rz"))
+    }
+    return {name: "rad" if name in angles else "m" for name in mechanism.parameters}
 
 
 def list_limits(system: Model) -> dict[str, Quantity]:

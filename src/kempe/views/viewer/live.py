@@ -8,6 +8,8 @@ from __future__ import annotations
 import copy
 import html
 import itertools
+import json
+import re
 import socket
 import threading
 import time
@@ -27,12 +29,14 @@ from kempe.spatial import Array
 from kempe.views.drawing import style
 from kempe.views.drawing.labels import fit_sentence, shorten_label
 from kempe.views.drawing.solids import parse_colour
+from kempe.views.viewer.dimensions import write_mechanism
 from kempe.views.viewer.first_sight import fit_camera, is_in_sight
 from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, split_poses
-from kempe.views.viewer.server import HOST, PageServer, silence_action
+from kempe.views.viewer.server import HOST, PageServer, RunJavascriptMessage, silence_action
 from kempe.views.viewer.session import KINDS, Session, list_possible_motions
 from kempe.views.viewer.sliders import MANY, Slider, group_by_limb
+from kempe.words import format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -56,12 +60,14 @@ DEFECTS = (
 """What a mistake in the code raises, or a machine that has no more room."""
 Action = Callable[[], Any]
 """What the page does with what was found."""
+Work = Callable[[Callable[..., None]], Iterator[Action]]
+"""What begins the rounds of a computation; the function that it gets ends one that is cancelled."""
 
 
 class Job:
     """A computation in rounds, each of which gives an action for the page; `dropped` if cancelled."""
 
-    def __init__(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]):
+    def __init__(self, key: str, work: Work):
         self.key = key
         self.dropped = False
         self.rounds = work(self.check_cancellation)
@@ -86,16 +92,28 @@ class Beside:
         self.post = post
         self.failed = failed
         self.jobs = list[Job]()
+        self.later: dict[str, Work] = {}
         self.ready = threading.Condition()
         self.open = True
         threading.Thread(target=self._run_jobs, daemon=True).start()
 
-    def start_job(self, key: str, work: Callable[[Callable[..., None]], Iterator[Action]]) -> None:
+    def start_job(self, key: str, work: Work) -> None:
         """Start a job in place of the one with the same key."""
         with self.ready:
             self.drop_jobs(key)
             self.jobs.insert(0, Job(key, work))
             self.ready.notify()
+
+    def renew_job(self, key: str, work: Work) -> None:
+        """Start a job after the one with the same key; of several that wait only the last.
+
+        So something is shown while what is computed changes all the time.
+        """
+        with self.ready:
+            if any(job.key == key for job in self.jobs):
+                self.later[key] = work
+            else:
+                self.start_job(key, work)
 
     def drop_jobs(self, key: str | None = None) -> None:
         """Cancel the job with a key, or all jobs."""
@@ -104,6 +122,7 @@ class Beside:
                 if key in (None, job.key):
                     job.dropped = True
                     self.jobs.remove(job)
+            self.later = {k: work for k, work in self.later.items() if key not in (None, k)}
 
     def end_thread(self) -> None:
         """Cancel all jobs and end the thread."""
@@ -141,6 +160,8 @@ class Beside:
                     self.jobs.remove(job)
                     if action is not None and not job.dropped:
                         self.jobs.append(job)
+                    elif job.key in self.later:
+                        self.jobs.append(Job(job.key, self.later.pop(job.key)))
 
     def _refuse_job(self, job: Job, text: str) -> Action:
         """End a job that failed; return the action that reports the failure."""
@@ -195,10 +216,13 @@ class Player:
         """Make the time slider of the motion that is played."""
         page = self.page
         self.motion = motion = page.session.motion
-        if motion is None:
-            return
         if self.time is not None:
             self.time.remove()
+            self.time = None
+        self.play.visible = motion is not None
+        if motion is None:
+            self.playing = False
+            return
         label, last = ("time [s]", motion.duration) if motion.timed else ("part", 1.0)
         with self.folder:
             self.time = page.client.gui.add_slider(
@@ -208,7 +232,7 @@ class Player:
         self.time.on_update(
             page.make_callback("time", lambda h=self.time: page.session.go_to_time(scale * h.value))
         )
-        self.folder.visible = self.play.visible = True
+        self.folder.visible = True
 
     async def toggle_playing(self, event: Any) -> None:
         """Start or stop playing when the button or its key is pressed."""
@@ -287,10 +311,12 @@ class Page:
         self.ready = threading.Condition()
         self.open = True
         self.dragging = ""
+        self.sized = ""
         self.spent: list[float] = []
         self.revision = -1
         self.nodes = Nodes(client.scene, drawn, session.q)
         self.sliders: dict[str, Any] = {}
+        self.dimensions: dict[str, Any] = {}
         self.made: tuple[tuple[str, str], ...] = ()
         self.made_handles = list[Any]()
         self.arrived = self.slid = 0.0
@@ -340,7 +366,7 @@ class Page:
             if action is None:
                 slow = False
                 with self.client.atomic():
-                    self._set_sliders()
+                    self._set_sliders(True)
                 if self.dragging != "gizmo":
                     self._keep_in_sight()
                 self._count_freedoms()
@@ -358,6 +384,8 @@ class Page:
     def show(self) -> None:
         """Update the page to the state of the session."""
         session = self.session
+        if self.nodes.drawn.system is not session.system:
+            self._renew_system()
         if self.revision != session.revision:
             self._make_sliders()
             if "curve" in self.boxes and session.motion is None:
@@ -378,9 +406,30 @@ class Page:
             if self.said.content != said:
                 self.said.content = said
 
-    def _set_sliders(self) -> None:
-        """Update the sliders to the coordinates, except the one that is dragged."""
+    def _renew_system(self) -> None:
+        """Draw the system with its new dimensions, and compute again what is shown of it."""
+        session = self.session
+        drawn = Drawn(session.system, session.q, None, self.nodes.drawn)
+        with self.client.atomic():
+            self.nodes.change_drawing(drawn, session.q)
+            self.nodes.show_names(self.names.value)
+            self.nodes.show_axes(self.axes.value)
+            self._make_sliders()
+        for name, box in self.boxes.items():
+            if box.value:
+                self._begin_overlay(name, name == "curve")
+        self._count_freedoms()
+
+    def _set_sliders(self, rest: bool = False) -> None:
+        """Update the sliders to the coordinates and dimensions, except the one that is dragged.
+
+        At `rest` also that of a dimension, which stays where the loops no longer close.
+        """
         self.slid = time.perf_counter()
+        for slider in map(self._convert_slider, self.session.dimensions):
+            handle = self.dimensions[slider.name]
+            if (rest or slider.name != self.sized) and abs(handle.value - slider.value) > 1e-9:
+                handle.value = slider.value
         for slider in map(self._convert_slider, self.session.sliders):
             handle = self.sliders.get(slider.name)
             if (
@@ -421,6 +470,7 @@ class Page:
         gos = {name: lambda n=name: session.go_to_posture(n) for name in session.postures}
         actions = {"reset": session.reset, "random": session.go_to_random}
         self.add_buttons("go to", actions | gos)
+        self._add_dimensions()
         with gui.add_folder("frame"):
             self.frame = gui.add_dropdown("frame", session.frames, initial_value=session.frame)
             self.task = gui.add_dropdown(
@@ -448,7 +498,8 @@ class Page:
         self.names.on_update(
             self.make_callback("names", lambda: self.nodes.show_names(self.names.value))
         )
-        self.degrees.on_update(self.make_callback("degrees", self._make_sliders))
+        self.degrees.on_update(self.make_callback("degrees", self._change_units))
+        self._make_dimensions()
         self.filter.on_update(self.make_callback("filter", self._make_sliders))
         self.axes.on_update(
             self.make_callback("axes", lambda: self.nodes.show_axes(self.axes.value))
@@ -530,18 +581,93 @@ class Page:
                 for slider in map(self._convert_slider, group):
                     self._add_slider(slider, len(groups) == 1)
 
-    def _add_slider(self, s: Slider, alone: bool) -> None:
-        """Add a slider to the open folder; `alone`: it is removed on its own."""
+    def _make_slider(self, s: Slider, **how: Any) -> Any:
+        """Make the control of a slider in the open folder."""
+        label = f"{shorten_label(s.name)} [{s.unit}]"
         handle = self.client.gui.add_slider(
-            f"{shorten_label(s.name)} [{s.unit}]", s.low, s.high, s.step, s.value, marks=s.marks
+            label, s.low, s.high, s.step, s.value, marks=s.marks, **how
         )
         handle.precision = s.digits
+        return handle
+
+    def _add_slider(self, s: Slider, alone: bool) -> None:
+        """Add a slider to the open folder; `alone`: it is removed on its own."""
+        handle = self._make_slider(s)
         self.sliders[s.name] = handle
         if alone:
             self.made_handles.append(handle)
         handle.on_update(
             self.make_callback(s.name, lambda: self._set_coordinate(s.name, handle.value))
         )
+
+    # ---- dimensions
+
+    def _add_dimensions(self) -> None:
+        """Make the folder of the mechanism's parameters, if it has any."""
+        session = self.session
+        self.dimension_folder: Any = None
+        if not session.dimensions:
+            return
+        with self.client.gui.add_folder("dimensions", expand_by_default=False) as folder:
+            self.dimension_folder = folder
+            self.measured = self.client.gui.add_html("", order=0.0)
+            self.add_buttons(
+                "mechanism",
+                {
+                    "undo all": session.reset_dimensions,
+                    "copy as TOML": self._copy_mechanism,
+                    "save": self._save_mechanism,
+                },
+            )
+
+    def _make_dimensions(self) -> None:
+        """Make the sliders of the mechanism's parameters, in the units of the page."""
+        for handle in self.dimensions.values():
+            handle.remove()
+        self.dimensions = {}
+        if self.dimension_folder is None:
+            return
+        with self.dimension_folder:
+            every = self.session.dimensions
+            for k, s in enumerate(map(self._convert_slider, every), 1):
+                handle = self._make_slider(s, order=k / (len(every) + 1.0))  # above the buttons
+                self.dimensions[s.name] = handle
+                handle.on_update(self._make_size_callback(s.name, handle))
+
+    def _make_size_callback(self, name: str, handle: Any) -> Any:
+        """Make the callback of the slider of a parameter."""
+
+        def set_dimension() -> None:
+            """Set the parameter to what the slider shows."""
+            self.sized = name
+            value = float(handle.value)
+            for slider in self.session.dimensions:
+                if slider.name == name:
+                    value = self._read_slider(slider, value)
+            self.session.set_dimension(name, value)
+
+        return self.make_callback(f"dimension {name}", set_dimension)
+
+    def _copy_mechanism(self) -> None:
+        """Copy the mechanism with its present dimensions to the clipboard, as TOML."""
+        text = write_mechanism(self.session.system)
+        source = f"navigator.clipboard.writeText({json.dumps(text)})"
+        self.client.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
+        self.session.status = f"copied: {format_count(len(text.splitlines()), 'line')} of TOML"
+
+    def _save_mechanism(self) -> None:
+        """Let the browser save the mechanism with its present dimensions, as a TOML file."""
+        name = re.sub(r"\W+", "_", self.session.system.name) or "mechanism"
+        text = write_mechanism(self.session.system)
+        self.client.send_file_download(f"{name}.toml", text.encode(), save_immediately=True)
+        self.session.status = f"saved: {name}.toml, among the downloads of the browser"
+
+    # ---- sliders
+
+    def _change_units(self) -> None:
+        """Make the sliders again, in degrees or radians."""
+        self._make_sliders()
+        self._make_dimensions()
 
     def _set_coordinate(self, name: str, value: float) -> None:
         """Set a coordinate to the value of its slider.
@@ -550,15 +676,18 @@ class Page:
         """
         for slider in self.session.sliders:
             if slider.name == name:
-                shown = self._convert_slider(slider)
-                ends = {shown.low: slider.low, shown.high: slider.high}
-                near = min(ends, key=lambda end: abs(end - value))
-                if abs(near - value) <= 0.5 * shown.step:
-                    value = ends[near]
-                elif shown.unit == "deg":
-                    value *= DEGREE
+                value = self._read_slider(slider, value)
                 break
         self.session.set_coordinate(name, float(value))
+
+    def _read_slider(self, slider: Slider, value: float) -> float:
+        """Convert the value of a slider on the page; an end is the limit, without rounding."""
+        shown = self._convert_slider(slider)
+        ends = {shown.low: slider.low, shown.high: slider.high}
+        near = min(ends, key=lambda end: abs(end - value))
+        if abs(near - value) <= 0.5 * shown.step:
+            return ends[near]
+        return value * DEGREE if shown.unit == "deg" else value
 
     def _convert_slider(self, slider: Slider) -> Slider:
         """Convert a slider to the units of the page: degrees if requested."""
@@ -636,9 +765,16 @@ class Page:
         self.session.status = text
 
     def _begin_job(
-        self, where: Beside, key: str, work: Callable[[Session], Iterator[Action]]
+        self,
+        where: Beside,
+        key: str,
+        work: Callable[[Session], Iterator[Action]],
+        renew: bool = False,
     ) -> None:
-        """Start a computation with a copy of the present session."""
+        """Start a computation with a copy of the present session.
+
+        `renew`: one with the same key is finished before.
+        """
         session = copy.copy(self.session)
 
         def iterate_actions(check: Callable[..., None]) -> Iterator[Action]:
@@ -646,7 +782,7 @@ class Page:
             session.progress = check
             return work(session)
 
-        where.start_job(key, iterate_actions)
+        (where.renew_job if renew else where.start_job)(key, iterate_actions)
 
     def _count_freedoms(self) -> None:
         """Show the degrees of freedom, computed beside since large systems take long."""
@@ -654,9 +790,16 @@ class Page:
         def iterate_actions(session: Session) -> Iterator[Action]:
             """Count the degrees of freedom, and give the action that shows them."""
             text = session.describe_mobility()
-            yield lambda: setattr(self.counted, "content", format_html(fit_sentence(text)))
+            sizes = session.describe_dimensions()
+            yield lambda: show_text(text, sizes)
 
-        self._begin_job(self.searches, "freedoms", iterate_actions)
+        def show_text(text: str, sizes: str) -> None:
+            """Show the sentences about the mechanism."""
+            self.counted.content = format_html(fit_sentence(text))
+            if self.dimension_folder is not None:
+                self.measured.content = format_html(fit_sentence(sizes))
+
+        self._begin_job(self.searches, "freedoms", iterate_actions, True)
 
     def _find_solutions(self, kind: str, then: Action | None = None) -> None:
         """Find other configurations, and show them if the system has not moved meanwhile."""
@@ -706,16 +849,21 @@ class Page:
         self.session.status = f"{name}: looked for ..."
         self._begin_job(self.searches, "search", iterate_actions)
 
-    def _begin_overlay(self, name: str) -> None:
-        """Remove an overlay, and start to compute it again if it is wanted."""
-        self.nodes.show_overlay(name, None)
-        self.overlays.drop_jobs(name)
+    def _begin_overlay(self, name: str, renew: bool = False) -> None:
+        """Remove an overlay, and start to compute it again if it is wanted.
+
+        `renew`: the old one stays until there is a new one.
+        """
+        if not renew:
+            self.nodes.show_overlay(name, None)
+            self.overlays.drop_jobs(name)
         if not self.boxes[name].value:
             return
 
         def show_overlay(overlay: Overlay, first: bool) -> None:
             """Show an overlay; have the first one in sight."""
-            self.session.status = overlay.said
+            if not renew:
+                self.session.status = overlay.said
             self.nodes.show_overlay(name, overlay)
             if first and len(overlay.extent):
                 self._include_points(np.array(list(itertools.product(*overlay.extent.T))))
@@ -725,8 +873,9 @@ class Page:
             for k, overlay in enumerate(iterate_rounds(session, name)):
                 yield lambda x=overlay, first=not k: show_overlay(x, first)
 
-        self.session.status = f"{name}: being computed"
-        self._begin_job(self.overlays, name, iterate_actions)
+        if not renew:
+            self.session.status = f"{name}: being computed"
+        self._begin_job(self.overlays, name, iterate_actions, renew)
 
     # ---- the camera
 
@@ -845,12 +994,13 @@ class Viewer:
         Address of the page.
     q
         Configuration (nq,) of the page that was moved last.
+    system
+        System of that page, with its dimensions.
     """
 
     def __init__(self, session: Session, share: bool, port: int, deg: bool = False):
         self.session = session
         self.share = share
-        self.system = session.system
         self.deg = deg
         self.drawn = Drawn(
             session.system, session.q, None if session.motion is None else session.motion.q
@@ -869,6 +1019,11 @@ class Viewer:
     def url(self) -> str:
         """Address of the page, with the token that the page requires."""
         return self.server.url
+
+    @property
+    def system(self) -> Model:
+        """System of the page that was moved last, with its dimensions."""
+        return self._last.system
 
     @property
     def q(self) -> Array:

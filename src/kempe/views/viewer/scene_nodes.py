@@ -99,13 +99,14 @@ class RigidParts:
 
     `parts` are at most two of each carrier: what is solid, and what can be looked through. Carriers
     are the links, the ground first, then the rods, then the `slides`. They were drawn at `q` (nq,).
-    `r` is the radius of a hinge [m]; what is solid lies in a box of diagonal `size` [m].
+    `r` is the radius of a hinge [m]; what is solid lies in a box of diagonal `size` [m]. `like` are
+    the parts of the system with other dimensions: what is named alike moves with the same carrier.
     """
 
-    def __init__(self, system: Model, q: Array):
+    def __init__(self, system: Model, q: Array, like: RigidParts | None = None):
         self.system = system
         self.q = q
-        scene = build_scene(system, q)
+        self.scene = scene = build_scene(system, q)
         self.heads = [system.body_names.index(link.name) for link in scene.links]
         self.names = tuple(link.name for link in scene.links)
         self.rods = [
@@ -119,7 +120,7 @@ class RigidParts:
         else:
             self.r = SOLID * symbols.choose_radius(scene)
         self.slides = _list_slides(scene, self.r)
-        self.parts = self._make_parts(scene)
+        self.parts = self._make_parts(scene, like)
         self.size = self._measure_diagonal() or scene.size
 
     def _measure_diagonal(self) -> float:
@@ -180,30 +181,19 @@ class RigidParts:
         X[..., :3, 2] *= lengths[..., None]
         return X
 
-    def _make_parts(self, scene: Scene) -> list[RigidPart]:
+    def _make_parts(self, scene: Scene, like: RigidParts | None) -> list[RigidPart]:
         """Make the rigid parts: pieces that move with the same carrier, joined."""
-        system = self.system
-        q = scene.q
-        rng = np.random.default_rng(0)
-        other = integrate_velocity(
-            system, q, APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv)
-        )
         first = [p for p in self._record_pieces(scene) if not p.name.startswith("open:")]
-        second: dict[str, list[DrawnPiece]] = {}
-        for piece in self._record_pieces(build_scene(system, other)):
-            second.setdefault(piece.name, []).append(piece)
-        X = self.compute_stretched_maps(q)
-        Y = self.compute_stretched_maps(other)
+        X = self.compute_stretched_maps(scene.q)
         X_inv = np.linalg.inv(X)
-        by_name: dict[str, list[int]] = {}
-        for i, piece in enumerate(first):
-            by_name.setdefault(piece.name, []).append(i)
-        carriers = np.empty(len(first), dtype=np.int64)
-        for name, places in by_name.items():
-            pieces = [first[i] for i in places]
-            carriers[places] = self._find_carriers(scene, pieces, second.get(name, []), Y @ X_inv)
+        self.made = [p.name for p in first] + [(s.name, s.part) for s in self.slides]
+        self.carrying = (
+            like.carrying
+            if like is not None and like.made == self.made
+            else self._find_all_carriers(scene, first, X)
+        )
         held: dict[tuple[int, bool], list[DrawnPiece]] = {}
-        for piece, carrier in zip(first, carriers.tolist(), strict=True):
+        for piece, carrier in zip(first, self.carrying.tolist(), strict=True):
             local = piece.corners @ X_inv[carrier, :3, :3].T + X_inv[carrier, :3, 3]
             held.setdefault((carrier, piece.colour[3] < 1.0), []).append(
                 piece._replace(corners=local)
@@ -215,6 +205,31 @@ class RigidParts:
             _join_pieces(carrier, pieces)
             for (carrier, _), pieces in sorted(held.items(), key=lambda x: x[0])
         ]
+
+    def _find_all_carriers(self, scene: Scene, first: list[DrawnPiece], X: Array) -> np.ndarray:
+        """Find the carrier of each piece, by the drawing at another configuration.
+
+        `X` are the maps (carriers, 4, 4) of the carriers' parts.
+        """
+        system = self.system
+        rng = np.random.default_rng(0)
+        other = integrate_velocity(
+            system,
+            scene.q,
+            APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv),
+        )
+        second: dict[str, list[DrawnPiece]] = {}
+        for piece in self._record_pieces(build_scene(system, other)):
+            second.setdefault(piece.name, []).append(piece)
+        moved = self.compute_stretched_maps(other) @ np.linalg.inv(X)
+        by_name: dict[str, list[int]] = {}
+        for i, piece in enumerate(first):
+            by_name.setdefault(piece.name, []).append(i)
+        carriers = np.empty(len(first), dtype=np.int64)
+        for name, places in by_name.items():
+            pieces = [first[i] for i in places]
+            carriers[places] = self._find_carriers(scene, pieces, second.get(name, []), moved)
+        return carriers
 
     def _record_pieces(self, scene: Scene) -> list[DrawnPiece]:
         """Record the pieces of the drawing of a scene."""
@@ -481,6 +496,8 @@ FAR = 1000.0
 """How near to the camera and how far from it things are seen, in diagonals of the drawing."""
 SOFT = np.cos(np.deg2rad(35.0))
 """Cosine of the angle up to which neighbouring triangles are shaded as one round surface."""
+HASH = np.array([0x9E3779B97F4A7C1, 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D])
+"""Odd factors by which the whole coordinates of a place become one number."""
 
 
 class Shape(NamedTuple):
@@ -494,30 +511,36 @@ class Drawn:
     """A system with its shapes, made once for all pages. `lost` says which meshes could not be
     shown.
 
-    Cameras have all configurations of a motion `way` (n, nq) in sight, if there is one.
+    Cameras have all configurations of a motion `way` (n, nq) in sight, if there is one. `like` is
+    the drawing of the system with other dimensions, of which is kept what does not change.
     """
 
-    def __init__(self, system: Model, q: Array, way: Array | None = None):
+    def __init__(
+        self, system: Model, q: Array, way: Array | None = None, like: Drawn | None = None
+    ):
         self.system = system
         self.q = q
-        meshes, self.lost = read_body_meshes(system.mechanism, meanwhile=lambda: self.rigid)
-        self.shapes = tuple(self._place_shapes(meshes, q))
+        self._like = like
+        self.read: dict[Any, Any] = {} if like is None else like.read
+        meshes, self.lost = read_body_meshes(system.mechanism, lambda: self.rigid, self.read)
+        self.shapes = tuple(self._place_shapes(meshes))
         self.extremes = self._find_extremes()
         shown = q[None]
         if way is not None:
             some = way[np.unique(np.linspace(0, len(way) - 1, SOME).round().astype(int))]
             shown = np.concatenate([shown, some])
         self.points = self.compute_extremes(shown)
+        self._like = None
 
     @cached_property
     def rigid(self) -> RigidParts:
         """The links, drawn at `q`."""
-        return RigidParts(self.system, self.q)
+        return RigidParts(self.system, self.q, None if self._like is None else self._like.rigid)
 
-    def _place_shapes(self, meshes: dict[str, list[PlacedMesh]], q: Array) -> list[Shape]:
+    def _place_shapes(self, meshes: dict[str, list[PlacedMesh]]) -> list[Shape]:
         out: list[Shape] = []
         covered: set[int] = set()
-        for link in build_scene(self.system, q).links:
+        for link in self.rigid.scene.links:
             head = np.linalg.inv(next(iter(link.bodies.values())))
             for body, X in link.bodies.items():
                 for mesh in meshes.get(body, ()):
@@ -562,8 +585,7 @@ class Drawn:
     @cached_property
     def seen(self) -> tuple[Scene, Array]:
         """Scene that was drawn, and poses (carriers, 4, 4) of the ground in the carriers' frames."""
-        q = self.rigid.q
-        return build_scene(self.system, q), spatial.inverse(self.rigid.compute_poses(q))
+        return self.rigid.scene, spatial.inverse(self.rigid.compute_poses(self.rigid.q))
 
     @cached_property
     def outlines(self) -> tuple[tuple[int, Array, np.ndarray], ...]:
@@ -670,16 +692,26 @@ def compute_soft_normals(corners: Array) -> Array:
     a, b, c = corners.reshape(-1, 3, 3).transpose(1, 0, 2)
     own = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     unit = own / np.maximum(np.linalg.norm(own, axis=1, keepdims=True), 1e-300)
+    flat = unit[np.argmax(np.linalg.norm(own, axis=1))] if len(own) else UPWARDS
+    along = np.abs(unit @ flat)
+    if np.all((along > 1.0 - 1e-12) | (along == 0.0)):  # a sheet, as all that is planar
+        return np.where(along[:, None] == 0.0, flat, unit)
     near = 1e-7 * max(float(np.ptp(corners, axis=0).max()), 1e-300)
-    place = np.unique(np.round(corners / near), axis=0, return_inverse=True)[1].ravel()
+    place = np.round(corners / near).astype(np.int64) @ HASH
     order = np.argsort(place, kind="stable")
+    place = place[order]
     out = own.copy()
-    for step in range(1, int(np.bincount(place).max())):  # each corner with the one `step` after it
-        i = order[:-step]
-        k = order[step:]
-        both = (place[i] == place[k]) & (np.sum(unit[i] * unit[k], axis=1) > SOFT)
+    first = np.arange(len(order))
+    step = 1
+    while len(first):  # each corner with the one `step` after it at the same place
+        first = first[: np.searchsorted(first, len(order) - step)]
+        first = first[place[first] == place[first + step]]
+        i = order[first]
+        k = order[first + step]
+        both = np.sum(unit[i] * unit[k], axis=1) > SOFT
         np.add.at(out, i[both], own[k[both]])
         np.add.at(out, k[both], own[i[both]])
+        step += 1
     return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-300)
 
 
@@ -709,6 +741,28 @@ class Nodes:
         self.labels = list[Any]()
         self.axes = list[Any]()
         self.laid = dict[str, list[Any]]()
+        self.made = list[Any]()
+        self._add_shapes(q)
+        if drawn.system.dim == 3:
+            wide = 4.0 * drawn.rigid.size
+            low = min(0.0, float(drawn.points[:, 2].min()))
+            cell = 10.0 ** np.floor(np.log10(max(drawn.rigid.size, 1e-9)))
+            scene.add_grid(
+                "/floor",
+                wide,
+                wide,
+                cell_size=0.5 * cell,
+                section_size=cell,
+                position=(0.0, 0.0, low),
+                shadow_opacity=0.12,
+                cell_color=PALE,
+                section_color=PALE,
+            )
+
+    def _add_shapes(self, q: Array) -> None:
+        """Add the nodes of all shapes, at a configuration (nq,)."""
+        drawn = self.drawn
+        scene = self.scene
         self.poses, self.lengths = drawn.rigid.compute_places(q)
         self.stretched: dict[int, list[Any]] = {}
         quats, places = split_poses(self.poses)
@@ -737,21 +791,33 @@ class Nodes:
                     receive_shadow=False,
                 )
             self.stretched.setdefault(carrier, []).append(node)
-        if drawn.system.dim == 3:
-            wide = 4.0 * drawn.rigid.size
-            low = min(0.0, float(drawn.points[:, 2].min()))
-            cell = 10.0 ** np.floor(np.log10(max(drawn.rigid.size, 1e-9)))
-            scene.add_grid(
-                "/floor",
-                wide,
-                wide,
-                cell_size=0.5 * cell,
-                section_size=cell,
-                position=(0.0, 0.0, low),
-                shadow_opacity=0.12,
-                cell_color=PALE,
-                section_color=PALE,
-            )
+            self.made.append(node)
+
+    def change_drawing(self, drawn: Drawn, q: Array) -> None:
+        """Draw the system with other dimensions in place of the present one, at q (nq,)."""
+        old = self.drawn.shapes
+        self.drawn = drawn
+        for _, ghost in self.ghosts:
+            ghost.remove()
+        self.ghosts = []
+        fits = [s.carrier for s in old] == [s.carrier for s in drawn.shapes] and all(
+            s.mesh.opacity == 1.0 for s in (*old, *drawn.shapes)
+        )
+        if fits:  # what is changed in place does not flicker
+            for a, b, node in zip(old, drawn.shapes, self.made, strict=True):
+                if a.mesh.drawn.glb != b.mesh.drawn.glb:
+                    node.glb_data = b.mesh.drawn.glb
+                if not np.array_equal(a.mesh.X, b.mesh.X):
+                    node.wxyz, node.position = split_poses(b.mesh.X)
+                if not np.array_equal(a.mesh.scale, b.mesh.scale):
+                    node.scale = tuple(b.mesh.scale.tolist())
+            self.move_links(q)
+        else:
+            for frame in self.frames.values():
+                frame.remove()
+            self.frames = {}
+            self.made = []
+            self._add_shapes(q)
 
     # ---- what is shown on request
 

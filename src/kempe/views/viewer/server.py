@@ -27,6 +27,7 @@ try:
     import viser
     import websockets.asyncio.server
     from viser import infra
+    from viser._messages import RunJavascriptMessage as RunJavascriptMessage
     from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
 except ImportError as error:

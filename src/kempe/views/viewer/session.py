@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,11 +19,13 @@ from kempe.equations.closure_rows import evaluate_constraints
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, KempeError
 from kempe.forward.fk import fk, jacobian
+from kempe.forward.parameter_batches import with_parameters
 from kempe.mobility.independent import Chart, independent
 from kempe.model.configurations import (
     compute_distance,
     compute_mid_configuration,
     has_loops,
+    list_parameter_units,
     list_units,
     make_q,
     read_q,
@@ -33,6 +35,7 @@ from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array, log_so3
 from kempe.views.drawing.plot_request import read_configuration, read_motion
 from kempe.views.drawing.scene import build_scene
+from kempe.views.viewer.dimensions import describe_four_bar, make_dimension_slider
 from kempe.views.viewer.first_sight import choose_first_posture, sort_frames_by_use
 from kempe.views.viewer.sliders import Slider
 from kempe.words import format_count
@@ -166,6 +169,8 @@ def find_named_motion(session: Session, name: str) -> tuple[Played | None, str]:
 
 LEAD = 0.1
 """Longest step of a slider that leads closed loops, in radians or parts of the drawing's size."""
+STUCK = 0.05
+"""Part of such a step within which the last dimensions that close the loops are found."""
 FULL = np.pi
 """A slider of an angle without limits goes this far both ways."""
 BALL = 3.0
@@ -198,7 +203,8 @@ class Session:
     `task` what of them counts: "pose" or "position"; `target` (4, 4) is the last one that was not
     reached, else None. `solutions` (k, nq) are other configurations, of the `kind` "solution" (the
     frame at the same place) or "mode" (the independent coordinates as they are), the search for
-    which `took` so many seconds. `motion` is what is played, `home` the configuration at first.
+    which `took` so many seconds. `motion` is what is played, `home` the configuration at first, `first` the system
+    with its first dimensions.
     `revision` grows with each new choice of `sliders`. `progress` is called in long searches.
     """
 
@@ -240,6 +246,8 @@ class Session:
         self._choose_chart()
         self.task = self.choose_task()
         self.home = self.q
+        self.first = system
+        self._parameter_units = list_parameter_units(system)
 
     # ---- coordinates
 
@@ -309,11 +317,15 @@ class Session:
             self._choose_chart()
         self._forget_solutions()
 
-    def _choose_chart(self) -> None:
-        """Choose independent coordinates at this configuration, unless its loops are open."""
+    def _choose_chart(self, prefer: Sequence[str] = ()) -> None:
+        """Choose independent coordinates at this configuration, unless its loops are open.
+
+        `prefer` are coordinates that are chosen where they are independent and enough; else, where
+        they are, the motors.
+        """
         with self._catch_refusals():
-            try:  # by the motors, where these are independent and enough
-                self.chart: Chart | None = independent(self.system, self.q, self._driven)
+            try:
+                self.chart: Chart | None = independent(self.system, self.q, prefer or self._driven)
             except InputError:
                 self.chart = independent(self.system, self.q)
             self.revision += 1
@@ -344,6 +356,109 @@ class Session:
     def make_budget(self, seconds: float, **more: Any) -> Budget:
         """Make the budget of a long search."""
         return Budget(time_limit=seconds, progress=self.progress, **more)
+
+    # ---- dimensions
+
+    @property
+    def dimensions(self) -> tuple[Slider, ...]:
+        """Parameters of the mechanism with their present values."""
+        first = self.first.structure.parameters
+        return tuple(
+            make_dimension_slider(name, self._parameter_units[name], first[name], value, self.size)
+            for name, value in self.system.structure.parameters.items()
+        )
+
+    def set_dimension(self, name: str, value: float) -> None:
+        """Set a parameter of the mechanism, and close the loops again from this configuration.
+
+        The independent coordinates stay where they can. Where the loops do not close, the mechanism
+        stays the last one that does.
+        """
+        self._change_dimensions({name: float(value)})
+
+    def reset_dimensions(self) -> None:
+        """Set all parameters to their first values; where that leads nowhere, go to the first
+        configuration.
+        """
+        self._change_dimensions(dict(self.first.structure.parameters))
+        closed = not self.status
+        self._take_system(self.first, self.q if closed else np.array(self.home))
+        self.status = "dimensions as at first" + ", and the configuration" * (not closed)
+
+    def _change_dimensions(self, wanted: dict[str, float]) -> None:
+        """Lead parameters to these values in steps, as far as the loops close."""
+        now = {name: self.system.structure.parameters[name] for name in wanted}
+        longest = max(
+            abs(value - now[name])
+            / (LEAD if self._parameter_units[name] == "rad" else LEAD * self.size)
+            for name, value in wanted.items()
+        )
+        count = max(1, int(np.ceil(longest)))
+        self.status = ""
+        good, bad = 0.0, np.inf
+        step = 1.0 / count
+        system, q = self.system, self.q
+        while good < 1.0:
+            part = min(good + step, 1.0)
+            trial = {name: x + part * (wanted[name] - x) for name, x in now.items()}
+            if part == 1.0:
+                trial = wanted
+            found = self._close_dimensions(trial, system, q)
+            if found is not None:
+                system, q = found
+                good = part
+            else:
+                bad = part
+            if bad < np.inf:
+                step = 0.5 * (bad - good)
+                if step * longest < STUCK:
+                    break
+        if system is not self.system:
+            self._take_system(system, q)
+        if good < 1.0 and not self.status:
+            values = ", ".join(
+                f"{name} = {value:.4g}" for name, value in wanted.items() if value != now[name]
+            )
+            self.status = f"the loops do not close with {values}: shown is the last that closes"
+
+    def _close_dimensions(
+        self, wanted: dict[str, float], system: Model, q: Array
+    ) -> tuple[Model, Array] | None:
+        """Close the loops of a system with other parameters, from q (nq,).
+
+        None if they do not close.
+        """
+        with self._catch_refusals():
+            changed: Any = with_parameters(system, wanted)
+            if self._bare or judge_configurations(changed, q):
+                return changed, q
+            known = (
+                {}
+                if self.chart is None
+                else dict(zip(self.chart.useful, self.chart.u(self.q).tolist(), strict=False))
+            )
+            known = {name: x for name, x in known.items() if name in system.coordinate_names}
+            for some in (known, {}) if known else ({},):
+                answer = assemble(changed, some, q, budget=QUICK)
+                if answer:
+                    return changed, np.array(answer.q)
+        return None
+
+    def _take_system(self, system: Model, q: Array) -> None:
+        """Go on with the system with other dimensions, at a configuration (nq,) that closes."""
+        self.system = system
+        self.q = q
+        self.target = None
+        self.motion = None
+        self._choose_chart(() if self.chart is None else self.chart.useful)
+        self._forget_solutions()
+
+    def describe_dimensions(self) -> str:
+        """Describe what the dimensions of a four-bar mean for its motion; else the text is empty."""
+        driver = self.chart.useful[0] if self.chart is not None and self.chart.useful else ""
+        with self._catch_refusals():
+            return describe_four_bar(self.system, self.q, driver)
+        return ""
 
     # ---- targets
 
@@ -547,8 +662,13 @@ class Session:
         self.status = f"none of {TRIES} random starts closed the loops: {said}"
 
     def reset(self) -> None:
-        """Go to the first configuration."""
-        self._set_configuration(self.home, "as at first")
+        """Go to the first configuration; with other dimensions to the nearest one that closes."""
+        if self._bare or judge_configurations(self.system, self.home):
+            self._set_configuration(self.home, "as at first")
+        elif answer := assemble(self.system, start=self.home):
+            self._set_configuration(answer.q, "as at first, with the loops closed")
+        else:
+            self.status = answer.status
 
     def go_to_posture(self, name: str) -> None:
         """Go to a posture of the model, or to 'neutral' or 'mid', and close the loops."""
