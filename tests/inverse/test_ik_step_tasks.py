@@ -11,6 +11,7 @@ import kempe
 from kempe import System, tasks
 from kempe.inverse.constrained_step import ConstrainedSteps
 from kempe.inverse.ik_step import IkStep, _make_constrained_step, list_speed_limits
+from kempe.inverse.tasks import search
 
 ROBOTS = (
     "panda",
@@ -33,9 +34,8 @@ ALIKE = 1e-5
 def step_in_numpy(system: System, q, wanted, dt, speed, damping) -> IkStep:
     """The step of the general solver, which loops and declared constraints need."""
     limits = list_speed_limits(system) if speed is None else np.full(system.nv, speed)
-    default = ~np.isfinite(system.structure.velocity_limits) if speed is None else None
     return _make_constrained_step(
-        system, q, wanted, None, dt, limits, default, damping, False, None
+        system, q, wanted, None, dt, limits, speed is None, damping, False, None
     )
 
 
@@ -146,6 +146,65 @@ def test_tasks_without_loops_never_reach_the_general_solver(panda, monkeypatch):
         ]
         q = panda.ik_step(q, wanted, dt=0.05).q
     assert np.abs(panda.fk(q, "panda_link7")[:3, 3] - goal).max() < 1e-9
+
+
+class Matrix:
+    """A pose of another library, which changes in place."""
+
+    def __init__(self, X):
+        self.homogeneous = X
+
+
+def test_tasks_that_exist_already_are_not_made_again(panda, monkeypatch):
+    """Counted, not timed: only a task whose numbers have changed is read again."""
+    read = []
+    original = search._make_task
+    monkeypatch.setattr(search, "_make_task", lambda *a: read.append(a[2]) or original(*a))
+    target = np.array([0.4, 0.1, 0.5])
+    near = tasks.Position("panda_link7", target, point=(0.1, 0.0, 0.0))
+    far = tasks.Position("panda_link7", target + 0.1).soft(0.1, priority=1)
+    wanted = [near, far, tasks.Posture({"panda_joint3": 0.2}, priority=2)]
+    first = panda.ik_step(panda.mid, wanted, dt=0.01)
+    assert len(read) == 3
+    again = panda.ik_step(panda.mid, wanted, dt=0.01)
+    assert len(read) == 3 and (again.q == first.q).all()
+    target[0] += 0.01
+    panda.ik_step(panda.mid, wanted, dt=0.01)
+    assert read[3:] == [near.label]
+    panda.ik_step(panda.mid, wanted[::-1], dt=0.01)
+    assert len(read) == 6  # the two positions change names
+
+
+@pytest.mark.parametrize("word", ["array", "view", "list", "dict", "matrix", "point", "axis"])
+def test_tasks_whose_numbers_change_in_place_are_read_again(panda, word):
+    """A step never depends on the numbers that a task had before."""
+    tip = "panda_link7"
+    X = panda.fk(panda.mid + 0.1, tip)
+    numbers = X[:3, 3].tolist()
+    values = {"panda_joint1": 0.3, "panda_joint3": 0.1}
+    near = np.array([0.1, 0.2, 0.3])
+    made = {
+        "array": lambda: tasks.Pose(tip, X),
+        "view": lambda: tasks.Position(tip, X[:3, 3]),
+        "list": lambda: tasks.Position(tip, numbers),
+        "dict": lambda: tasks.Posture(values),
+        "matrix": lambda: tasks.Pose(tip, Matrix(X)),
+        "point": lambda: tasks.Position(tip, (0.4, 0.1, 0.5), point=near),
+        "axis": lambda: tasks.Pointing(tip, (0.0, 0.0, 1.0), axis=near),
+    }[word]
+    kept = made()
+    before = None
+    for k in range(4):
+        got = panda.ik_step(panda.mid, [kept], dt=0.01)
+        new = kempe.load("panda").ik_step(panda.mid, [made()], dt=0.01)
+        assert (got.q == new.q).all()
+        assert before is None or (got.q == before).all() == (k == 2)
+        before = got.q
+        if k != 1:
+            X[0, 3] += 0.01
+            numbers[1] += 0.01
+            values["panda_joint1"] += 0.01
+            near[2] += 0.05
 
 
 @pytest.mark.parametrize("name", ["joint_helical", "joint_planar"])

@@ -198,7 +198,7 @@ def cost_of(s: System, task: tasks.Task):
     velocities.
     """
     packed = Packed(s, [task])
-    pins = packed.pack_pins([Task(s, task).make_goal()])
+    pins = packed.pack_pins([Task(s, task).goal])
 
     def cost(q: np.ndarray) -> tuple[float, np.ndarray]:
         e, J = packed.evaluate_tasks(q, pins)
@@ -210,7 +210,7 @@ def cost_of(s: System, task: tasks.Task):
 def equal_to(s: System, task: tasks.Task, value: np.ndarray | None = None) -> dict:
     """The task, at a value, as a constraint for scipy."""
     packed = Packed(s, [task])
-    pins = packed.pack_pins([Task(s, task).make_goal()])
+    pins = packed.pack_pins([Task(s, task).goal])
     return {
         "type": "eq",
         "fun": lambda q: packed.evaluate_tasks(q, pins)[0] - (0.0 if value is None else value),
@@ -267,7 +267,7 @@ def test_levels_are_optima_of_a_nested_optimisation(seed):
             equal_to(
                 s,
                 task,
-                packed.evaluate_tasks(answer.q, packed.pack_pins([Task(s, task).make_goal()]))[0],
+                packed.evaluate_tasks(answer.q, packed.pack_pins([Task(s, task).goal]))[0],
             )
         )
     lowest = least(c, s, answer.q, held)

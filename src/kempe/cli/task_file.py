@@ -140,7 +140,7 @@ class _TaskReader:
             made = kind(**given)
             task = Task(self.system, made)
             task.make_structure_key()
-            task.make_goal()
+            _ = task.goal
         except (InputError, UnknownNameError) as error:
             about = [k for k in given if re.search(rf"\b{k}\b", str(error))]
             if isinstance(error, UnknownNameError):

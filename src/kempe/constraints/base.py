@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import IntEnum, auto
 from functools import cached_property, lru_cache
+from types import NoneType
 from typing import (
     Any,
     ClassVar,
@@ -649,6 +650,43 @@ def make_content_key(constraint: Constraint) -> tuple[Any, ...]:
 
     own = (f.name for f in fields(constraint) if f.init and f.type != PARAMETERS)
     return constraint.kind, *((name, convert_value(getattr(constraint, name))) for name in own)
+
+
+FIXED = {NoneType, bool, int, float, str, np.bool_, np.int64, np.float64, End, Expression}
+"""Classes of values that cannot change."""
+CHANGING = object()
+"""Stands for a value that may change unseen, or is too long to be compared."""
+LONGEST = 64
+"""Most numbers of a value that is compared."""
+
+
+def freeze_fields(constraint: Constraint) -> Any:
+    """Return the values of all fields, copied; they are equal later only if none has changed.
+
+    Arrays and lists can change in place. `CHANGING` is returned where a change would not be seen.
+    """
+    return _freeze_value([getattr(constraint, n) for n in _list_field_names(type(constraint))])
+
+
+@lru_cache(maxsize=512)
+def _list_field_names(kind: type[Constraint]) -> tuple[str, ...]:
+    """List the names of all fields of a kind."""
+    return tuple(f.name for f in fields(kind))
+
+
+def _freeze_value(x: Any) -> Any:
+    """Return a value in a form that does not change with it, or `CHANGING`."""
+    sort = x.__class__
+    if sort in FIXED:
+        return x
+    if sort is np.ndarray and x.size <= LONGEST and x.dtype.kind in "fiub":
+        return x.shape, x.dtype, x.tobytes()
+    if sort is dict:
+        return _freeze_value([*x, *x.values()])
+    if sort not in (list, tuple) or len(x) > LONGEST:
+        return CHANGING
+    parts = [part if part.__class__ in FIXED else _freeze_value(part) for part in x]
+    return CHANGING if CHANGING in parts else parts
 
 
 # ---- fields and numbers of a kind

@@ -226,7 +226,7 @@ class Packed:
         m = len(self.rows)
         flat_q = q.reshape(math.prod(lead), self.system.nq)
         if pins is None:
-            goals = [t.make_goal() for t in self.tasks]
+            goals = [t.goal for t in self.tasks]
             pins = self.pack_pins(goals, lead if find_leading_shape(goals) else ())
         out = np.empty((len(flat_q), m))
         J = np.empty((len(flat_q), m, self.system.nv))

@@ -86,6 +86,8 @@ class RowFacts(NamedTuple):
     """Whether they hold coordinates, or values of expressions or functions."""
     compares: bool
     """Whether they are compared with numbers of the constraint."""
+    velocity: bool
+    """Whether some of them are about velocities."""
 
 
 @lru_cache(maxsize=512)
@@ -102,6 +104,7 @@ def collect_row_facts(rows: tuple[Row, ...]) -> RowFacts:
         Op.POINT in ops,
         written,
         compares or written,
+        any(r.velocity for r in rows),
     )
 
 
@@ -116,7 +119,8 @@ class Task:
     def __init__(self, system: Model, constraint: Constraint):
         rows = constraint.list_rows(system.dim)
         constraint.check_fields(system.dim)
-        if any(r.velocity for r in rows):
+        facts = collect_row_facts(rows)
+        if facts.velocity:
             raise InputError(
                 f"{constraint.label} is about velocities, which no configuration has: declare it "
                 "by Mechanism.constrain"
@@ -128,15 +132,16 @@ class Task:
         self.tolerance = constraint.tolerance
         self.name = constraint.name
         made = constraint
-        if collect_row_facts(rows).written:
+        if facts.written:
             known = system.structure.parameters
             made = bind_constraint(
                 system, evaluate_number_fields(constraint.resolve_names(known), known)
             )
             refuse_unreadable(system, made.coordinate_names, self.label)
+            rows = made.list_rows(system.dim)
+            facts = collect_row_facts(rows)
         self.of: Any = made
-        self.rows = rows = made.list_rows(system.dim) if made is not constraint else rows
-        facts = collect_row_facts(rows)
+        self.rows = rows
         self.lengths = facts.lengths
         self.angles = facts.angles
         self.lasting = facts.lasting
@@ -155,6 +160,7 @@ class Task:
             None if b is None else system.structure.frame_name(b),
         )
         """Names of the frames A and B; None for the ground, and where there is no frame B."""
+        self._goal: Goal | None = None
 
     def copy_without_tolerance(self) -> Task:
         """Copy the task without a tolerance of its own."""
@@ -262,11 +268,18 @@ class Task:
 
     # ---- the goal, and how far it is missed
 
-    def make_goal(self) -> Goal:
-        """Make the goal of this call: the pose of frame A, and the numbers.
+    @property
+    def goal(self) -> Goal:
+        """The goal of this call, read once: the pose of frame A, and the numbers.
 
         Bounds that only some targets have are far away for the others. Errors: `InputError`.
         """
+        if self._goal is None:
+            self._goal = self._read_goal()
+        return self._goal
+
+    def _read_goal(self) -> Goal:
+        """Read the goal from the constraint."""
         made = self.of
         posed = self.frames[1] is not None or self.central
         numbers: Numbers = {}
@@ -301,7 +314,7 @@ class Task:
         `goal` is its own, where it is at hand; `poses` gives the poses of frames in place of the
         forward model.
         """
-        pose, numbers = self.make_goal() if goal is None else goal
+        pose, numbers = self.goal if goal is None else goal
         poses = poses or partial(fk, self.system, q)
         A = None
         B = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -40,6 +40,7 @@ from kempe.spatial import Array, log_so3
 from kempe.status import Status
 
 if TYPE_CHECKING:
+    from kempe.equations.tasks import Task
     from kempe.inverse.tasks.demands import Demands
     from kempe.model.model import FrameLike, Model
 
@@ -57,7 +58,8 @@ SLIDING = 1.0
 SHORTER = 5
 """Halvings of a step so that no joint turns back from one cycle to the next."""
 KEPT = 64
-"""Sets of weights and priorities whose packed numbers are kept with each structure of tasks."""
+"""Sets of tasks whose packed goals a system keeps, and sets of weights and priorities whose packed
+numbers are kept with each structure of tasks."""
 SKEW = 1e-5
 """Sum of what a rotation's product with its transpose may miss."""
 BESIDE = 1e-12
@@ -155,7 +157,7 @@ def ik_step(
         if velocity_limits is None
         else _parse_numbers(velocity_limits, system.nv, "velocity_limits")
     )
-    default = ~np.isfinite(system.structure.velocity_limits) if velocity_limits is None else None
+    default = velocity_limits is None
     w = _parse_numbers(weights, 6, "weights", True) if weights is not None else None
     if frame is None:
         if keep_direction or w is not None:
@@ -182,7 +184,7 @@ def ik_step(
         damping,
         keep_direction,
         w,
-        default is not None,
+        default,
     )
 
 
@@ -231,13 +233,6 @@ class BoundStep:
         names = system.structure.velocity_names
         self.names = [names[int(i)] for i in chain.v_index]
         self.speed = list_speed_limits(system)
-        self.default = {
-            names[i]: float(self.speed[i])
-            for i in range(system.nv)
-            if not math.isfinite(system.structure.velocity_limits[i])
-        }
-        """Speeds of the coordinates that have the default."""
-        self.v_index = dict(zip(self.names, chain.v_index.tolist(), strict=True))
         self.new = make_allocator(system.nq + system.nv + ANSWER + n)
         self.compute = servo_step.compute_frame_step
 
@@ -317,30 +312,15 @@ class BoundStep:
 
     def make_answer(self, out: Array, count: int, default: bool) -> IkStep:
         """Make the answer of what the kernel wrote, with `count` velocities at a limit."""
-        system = self.system
-        nq = system.nq
-        end = nq + system.nv
-        velocity = out[nq:end]
-        answer = object.__new__(IkStep)
-        fields = answer.__dict__  # one by one: a frozen class takes longer
-        fields["q"] = out[:nq]
-        fields["velocity"] = velocity
-        fields["twist"] = out[end : end + 6]
-        fields["fraction"] = out.item(end + FRACTION)
-        fields["saturated"] = ()
-        fields["system"] = system
-        if count:
-            limited = out[end + ANSWER :].tolist()
-            names = tuple(name for name, at in zip(self.names, limited, strict=True) if at)
-            fields["saturated"] = names
-            if default:
-                fields["default_speed"] = tuple(
-                    name
-                    for name in names
-                    if name in self.default
-                    and abs(velocity[self.v_index[name]]) >= self.default[name] * (1.0 - BESIDE)
-                )
-        return answer
+        end = self.system.nq + self.system.nv
+        return _make_answer(
+            self.system,
+            out,
+            out[end : end + 6],
+            out.item(end + FRACTION),
+            _select_limited(self.names, out[end + ANSWER :]) if count else (),
+            default,
+        )
 
 
 class BoundTaskStep:
@@ -387,7 +367,7 @@ class BoundTaskStep:
         self.new = make_allocator(system.nq + 2 * system.nv + 1 + rates)
 
     def take_step(
-        self, pins: Array, q: Array, dt: float, speed: Array, damping: float, default: Any
+        self, pins: Array, q: Array, dt: float, speed: Array, damping: float, default: bool
     ) -> IkStep | None:
         """Take a step towards the goals in `pins` (k,); None where these or q are none."""
         system = self.system
@@ -409,23 +389,42 @@ class BoundTaskStep:
         )
         if count < 0:
             return None
-        nq = system.nq
-        end = nq + system.nv
-        velocity = out[nq:end]
-        names = ()
-        if count:
-            limited = out[end + 1 : end + 1 + system.nv].tolist()
-            every = system.structure.velocity_names
-            names = tuple(name for name, at in zip(every, limited, strict=True) if at)
-        return IkStep(
-            out[:nq],
-            velocity,
-            out[end + 1 + system.nv :],
-            out.item(end),
-            names,
+        end = system.nq + system.nv
+        rates = end + 1 + system.nv
+        names = system.structure.velocity_names
+        return _make_answer(
             system,
-            _select_default_speeds(system, names, velocity, speed, default),
+            out,
+            out[rates:],
+            out.item(end),
+            _select_limited(names, out[end + 1 : rates]) if count else (),
+            default,
         )
+
+
+class BoundTasks:
+    """Tasks of a step with what is prepared for them: the step of their structure, and their goals.
+
+    There is no `step` where the kernel takes none.
+    """
+
+    def __init__(self, system: Model, wanted: Any, q: Array, tasks: tuple[Task, ...]):
+        from kempe.inverse.tasks.search import pack_tasks
+
+        self.tasks = tasks
+        packed = pack_tasks(system, tasks, False)
+        goals = [t.goal for t in tasks]
+        self.step: BoundTaskStep | None = None
+        if find_leading_shape(goals):
+            return
+        key = BoundTaskStep, *((t.priority, t.weight) for t in tasks)
+        self.step = packed.stages.get(key)
+        if self.step is None:
+            if not _is_open(packed):
+                return
+            made = BoundTaskStep(make_step_problem(system, wanted, q))
+            self.step = store_answer(packed.stages, key, made, KEPT)
+        self.pins = packed.pack_pins(goals)[0]
 
 
 def _is_open(packed: Packed) -> bool:
@@ -444,26 +443,24 @@ def _make_task_step(
     wanted: Any,
     dt: float,
     speed: Array,
-    default: np.ndarray | None,
+    default: bool,
     damping: float,
 ) -> IkStep:
     """Make a step for tasks: in one kernel call where no loops or declared constraints hold.
 
     The kernel gives no step for goals that are none; the general way says why.
     """
-    from kempe.inverse.tasks.search import make_distinct_tasks, pack_tasks
+    from kempe.inverse.tasks.search import make_distinct_tasks
 
-    made = make_distinct_tasks(wanted, system)
-    goals = [t.make_goal() for t in made]
-    packed = pack_tasks(system, made, False)
-    key = BoundTaskStep, *((t.priority, t.weight) for t in made)
-    bound = packed.stages.get(key)
-    if bound is None and _is_open(packed):
-        bound = BoundTaskStep(make_step_problem(system, wanted, q))
-        store_answer(packed.stages, key, bound, KEPT)
-    if bound is not None and not find_leading_shape(goals):
-        answer = bound.take_step(
-            packed.pack_pins(goals)[0],
+    tasks = make_distinct_tasks(wanted, system)
+    steps = system._kept.setdefault(BoundTasks, {})
+    labels = tuple([t.label for t in tasks])
+    bound = steps.get(labels)
+    if bound is None or bound.tasks != tasks:
+        bound = store_answer(steps, labels, BoundTasks(system, wanted, q, tasks), KEPT)
+    if bound.step is not None:
+        answer = bound.step.take_step(
+            bound.pins,
             np.ascontiguousarray(q),
             float(dt),
             np.ascontiguousarray(speed),
@@ -475,22 +472,60 @@ def _make_task_step(
     return _make_constrained_step(system, q, wanted, None, dt, speed, default, damping, False, None)
 
 
-def _select_default_speeds(
+def _make_answer(
     system: Model,
+    out: Array,
+    twist: Array,
+    fraction: float,
     saturated: tuple[str, ...],
-    velocity: Array,
-    speed: Array,
-    default: np.ndarray | None,
+    default: bool,
+) -> IkStep:
+    """Make the answer of a kernel that wrote q and velocities to `out`; `default` says whether the
+    call gives no speed limits.
+    """
+    velocity = out[system.nq : system.nq + system.nv]
+    answer = object.__new__(IkStep)
+    fields = answer.__dict__  # one by one: a frozen class takes longer
+    fields["q"] = out[: system.nq]
+    fields["velocity"] = velocity
+    fields["twist"] = twist
+    fields["fraction"] = fraction
+    fields["saturated"] = saturated
+    fields["system"] = system
+    if saturated and default:
+        fields["default_speed"] = _select_default_speeds(system, saturated, velocity)
+    return answer
+
+
+def _select_limited(names: Sequence[str], limited: Array) -> tuple[str, ...]:
+    """Select the names of velocities that a kernel marks as limited (n,)."""
+    return tuple([name for name, at in zip(names, limited.tolist(), strict=True) if at])
+
+
+def _select_default_speeds(
+    system: Model, saturated: tuple[str, ...], velocity: Array
 ) -> tuple[str, ...]:
-    """Select the saturated coordinates that move at a default speed (nv,)."""
-    if not saturated or default is None:
-        return ()
-    fast: list[bool] = np.logical_and(default, np.abs(velocity) >= speed * (1.0 - BESIDE)).tolist()
+    """Select the saturated coordinates that move at a default speed."""
+    defaults = _list_default_speeds(system)
     return tuple(
-        name
-        for name, is_so in zip(system.structure.velocity_names, fast, strict=True)
-        if is_so and name in saturated
+        [
+            name
+            for name in saturated
+            if name in defaults and abs(velocity[defaults[name][0]]) >= defaults[name][1]
+        ]
     )
+
+
+@keep_answers
+def _list_default_speeds(system: Model) -> dict[str, tuple[int, float]]:
+    """List velocity and least saturated speed of each coordinate that has a default speed limit."""
+    speeds = list_speed_limits(system).tolist()
+    given = system.structure.velocity_limits.tolist()
+    return {
+        name: (i, speeds[i] * (1.0 - BESIDE))
+        for i, name in enumerate(system.structure.velocity_names)
+        if not math.isfinite(given[i])
+    }
 
 
 def find_steady_fraction(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
@@ -526,7 +561,7 @@ def _make_constrained_step(
     frame: str | None,
     dt: float,
     speed: Array,
-    default: np.ndarray | None,
+    default: bool,
     damping: float,
     direction: bool,
     weights: Array | None,
@@ -602,7 +637,7 @@ def _make_constrained_step(
         part,
         names,
         system,
-        _select_default_speeds(system, names, velocity, speed, default),
+        _select_default_speeds(system, names, velocity) if default else (),
         blocked,
     )
 

@@ -518,7 +518,7 @@ class TwoFreedoms:
     def _make_place_equations(self, p: Array) -> Missing:
         """Make the function that evaluates how far the frame is from places (k, 2)."""
         packed = Packed(self.system, [self.task.make_constraint(self.frame, p)])
-        pins = packed.pack_pins([packed.tasks[0].make_goal()], (len(p),))
+        pins = packed.pack_pins([packed.tasks[0].goal], (len(p),))
 
         def evaluate_missing(q: Array, node: np.ndarray) -> tuple[Array, Array]:
             return packed.evaluate_tasks(q, np.ascontiguousarray(pins[node]))

@@ -16,7 +16,7 @@ from kempe.arrays import is_sequence, is_whole
 from kempe.assemble.bound import TOLERANCE as CLOSED
 from kempe.assemble.nearest_exact import find_ideal_system, find_nearest_exact_in_time
 from kempe.budget import Usual
-from kempe.constraints.base import Constraint
+from kempe.constraints.base import CHANGING, Constraint, freeze_fields
 from kempe.equations.packed_tasks import Packed, find_leading_shape, refuse_goal
 from kempe.equations.task_functions import (
     REAL_STEP,
@@ -703,7 +703,7 @@ def make_demands(
     `starts` None are as many as it deserves.
     """
     tasks = make_distinct_tasks(wanted, system)
-    goals = tuple(t.make_goal() for t in tasks)
+    goals = tuple(t.goal for t in tasks)
     base = _choose_home(system) if start is None else read_start(system, start)
     lead = own = find_leading_shape(goals)
     if base.ndim > 1:
@@ -756,35 +756,53 @@ def make_distinct_tasks(wanted: Any, system: Model) -> tuple[Task, ...]:
             f"{what}"
         )
     out: dict[str, Task] = {}
-    for task in given:
-        if not is_whole(task.priority):
-            raise InputError(
-                f"priority of {task.label} is {task.priority!r}; it must be a whole number"
-            )
-        weight: Any = task.weight
-        number: bool = isinstance(weight, (int, float, np.integer, np.floating)) and not isinstance(
-            weight, bool
-        )
-        if weight is not None and not (number and 0.0 < weight < math.inf):
-            raise InputError(
-                f"weight of {task.label} is {weight!r}; it must be a positive number, or None"
-            )
-        if not isinstance(task.name, str):
-            raise InputError(f"name of a task is {task.name!r}; it must be text")
-        if task.tolerance is not None:
-            allowed = read_tolerances(task.tolerance)
-            task = (
-                task
-                if task.tolerance.__class__ in (int, float)
-                else replace(task, tolerance=allowed)
-            )
-        label = task.label
+    for constraint in given:
+        if not isinstance(constraint.name, str):
+            raise InputError(f"name of a task is {constraint.name!r}; it must be text")
+        label = constraint.label
         count = 1
         while label in out:
             count += 1
-            label = f"{task.label} ({count})"
-        out[label] = Task(system, task if count == 1 else replace(task, name=label))
+            label = f"{constraint.label} ({count})"
+        out[label] = _find_task(system, constraint, label)
     return tuple(out.values())
+
+
+def _find_task(system: Model, constraint: Constraint, label: str) -> Task:
+    """Find the checked task of a constraint: the last one of its label, where nothing changed."""
+    tasks = system._kept.setdefault(_find_task, {})
+    content = freeze_fields(constraint)
+    kept = tasks.get(label)
+    if kept is not None and kept[0] is constraint and kept[1] == content:
+        return kept[2]
+    task = _make_task(system, constraint, label)
+    if content is not CHANGING and task.lasting:
+        store_answer(tasks, label, (constraint, content, task))
+    return task
+
+
+def _make_task(system: Model, constraint: Constraint, label: str) -> Task:
+    """Make the task of a constraint under a label. Errors: `InputError` for what only `ik` reads."""
+    if not is_whole(constraint.priority):
+        raise InputError(
+            f"priority of {constraint.label} is {constraint.priority!r}; it must be a whole number"
+        )
+    weight: Any = constraint.weight
+    number: bool = isinstance(weight, (int, float, np.integer, np.floating)) and not isinstance(
+        weight, bool
+    )
+    if weight is not None and not (number and 0.0 < weight < math.inf):
+        raise InputError(
+            f"weight of {constraint.label} is {weight!r}; it must be a positive number, or None"
+        )
+    given = constraint.tolerance
+    if given is not None:
+        allowed = read_tolerances(given)
+        if given.__class__ not in (int, float):
+            constraint = replace(constraint, tolerance=allowed)
+    if label != constraint.label:
+        constraint = replace(constraint, name=label)
+    return Task(system, constraint)
 
 
 def _add_preference(problem: Demands, prefer: Any, base: Array) -> Demands:
