@@ -933,6 +933,10 @@ class System(Model, Pictured):
         found; else a tenth of that number. One problem with Python functions ends after 10 000
         calls of them if searches without limits, or for these functions alone, find nothing.
 
+        A `Clearance` among the tasks keeps bodies apart: a success does, as coal measures it on the
+        collision shapes. Planes between near shapes are tasks, renewed up to 8 times from each of
+        up to 61 starts.
+
         Sources: damped least squares with an active set of limits and restarts (Levenberg, 1944;
         Sugihara, 2011; Chan and Lawrence, 1988); lower priorities are solved in the null space of
         higher ones (Siciliano and Slotine, 1991).

@@ -63,6 +63,13 @@ def describe_reached_frame(place: float | None, turn: float | None, steps: int, 
     return f"reached: {'' if place is None else 'position error '}{what} ({how})"
 
 
+def describe_closest(pair: tuple[str, str], distance: float, at_least: float) -> str:
+    """Describe how near two bodies come that must keep a distance, in metres."""
+    a, b = pair
+    where = f"are {distance:.4g} m apart" if distance >= 0.0 else f"overlap by {-distance:.4g} m"
+    return f"{a!r} and {b!r} {where} (asked: at least {at_least:.4g} m apart)"
+
+
 def describe_hard_tasks(place: float | None, turn: float | None, how: str, freedoms: str) -> str:
     """Describe that all hard tasks hold, with the largest errors and the remaining freedoms."""
     left = f"; {freedoms}" if freedoms else ""

@@ -16,10 +16,12 @@ from kempe.answers.tables import read_pose_columns
 from kempe.cli import arguments
 from kempe.constraints import KINDS, Constraint
 from kempe.constraints.base import list_required_fields
+from kempe.constraints.clearances import Apart
 from kempe.description.source import Source, decode_text, expand_path, shorten_text
 from kempe.description.toml_document import Document
 from kempe.equations.tasks import Task
 from kempe.errors import InputError, UnknownNameError, hint
+from kempe.geometry.clearance import watch_clearances
 from kempe.model.configurations import list_units
 from kempe.words import DEGREE
 
@@ -138,9 +140,12 @@ class _TaskReader:
             return None
         try:
             made = kind(**given)
-            task = Task(self.system, made)
-            task.make_structure_key()
-            _ = task.goal
+            if isinstance(made, Apart):
+                watch_clearances(self.system, [made])
+            else:
+                task = Task(self.system, made)
+                task.make_structure_key()
+                _ = task.goal
         except (InputError, UnknownNameError) as error:
             about = [k for k in given if re.search(rf"\b{k}\b", str(error))]
             if isinstance(error, UnknownNameError):

@@ -14,6 +14,7 @@ from kempe.constraints.base import Constraint, End, Op, Row
 
 if TYPE_CHECKING:
     from kempe.constraints.base import KINDS, kind
+    from kempe.constraints.clearances import Clearance
     from kempe.constraints.contacts import Contact, NoSideslip, Rolls
     from kempe.constraints.coordinates_and_centres import (
         CentreOfMass,
@@ -44,6 +45,7 @@ __all__ = [
     "KINDS",
     "CentreOfMass",
     "CentreOfPoints",
+    "Clearance",
     "Constraint",
     "Contact",
     "Distance",
@@ -73,7 +75,7 @@ __all__ = [
     "VelocityEquation",
     "kind",
 ]
-MODULES = ("contacts", "curves", "equations", "kinds", "coordinates_and_centres")
+MODULES = ("clearances", "contacts", "curves", "equations", "kinds", "coordinates_and_centres")
 """Where kinds are declared; imported when the first one is used, for most systems have none."""
 
 

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import unwrap_scalar
+from kempe.constraints.clearances import Apart
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk, jacobian
-from kempe.geometry.solids import Placed, Solids, get_solids
+from kempe.geometry.solids import Gap, Placed, Solids, get_solids
 from kempe.model.configurations import read_q
 from kempe.report import Report, Table
 from kempe.spatial import Array
@@ -126,6 +127,74 @@ def find_nearest_bodies(system: Model, q: Any, pairs: Pairs | None = None) -> Ne
             arm = x - at[name][:3, 3]
             row += sign * (apart @ J[name][:3] + np.cross(arm, apart) @ J[name][3:])
     return NearestBodies(system, q, pairs_, distance, points, gradient)
+
+
+class Watch(NamedTuple):
+    """Pairs of solids that clearances keep apart."""
+
+    solids: Solids
+    couples: np.ndarray
+    """Pairs (k, 2) of solids."""
+    at_least: Array
+    """Distance (k,) that each pair keeps."""
+    of: np.ndarray
+    """For each pair, the number (k,) of its clearance."""
+
+    def name_bodies(self, couple: int) -> tuple[str, str]:
+        """Return the names of the bodies of a pair of solids."""
+        a, b = self.solids.body_of[self.couples[couple]]
+        return self.solids.names[int(a)], self.solids.names[int(b)]
+
+    def list_gaps(self, X: Array, band: float) -> list[Gap]:
+        """List the pairs that are less than `band` further apart than they must be.
+
+        X (n, 4, 4) are the poses of the bodies that have solids.
+        """
+        return Placed(self.solids, X).list_gaps(self.couples, self.at_least + band)
+
+
+def watch_clearances(system: Model, clearances: Sequence[Apart]) -> Watch:
+    """Find the pairs of solids that clearances keep apart.
+
+    Errors: `UnknownNameError`, `InputError` where a body has no shape, or no pair is left.
+    """
+    solids = get_solids(system)
+    rows: list[tuple[tuple[int, int], float, int]] = []
+    for k, clearance in enumerate(clearances):
+        pairs = _list_clearance_pairs(system, solids, clearance)
+        if not pairs:
+            raise InputError(
+                f"{clearance.label}: no two of these bodies can touch; system.geometry.pairs lists "
+                "those that can"
+            )
+        couples = [couple for pair in pairs for couple in solids.list_couples(pair)]
+        rows += [(couple, clearance.at_least, k) for couple in couples]
+    couples, at_least, of = zip(*rows, strict=True)
+    return Watch(solids, np.array(couples), np.array(at_least), np.array(of))
+
+
+def _list_clearance_pairs(
+    system: Model, solids: Solids, clearance: Apart
+) -> tuple[tuple[str, str], ...]:
+    """List the pairs of bodies that a clearance keeps apart."""
+    first, second = clearance.sides
+    for name in (*first, *second):
+        if name not in system._mechanism.bodies:
+            raise UnknownNameError("body", name, system._mechanism.bodies, system.name)
+        if name not in solids.names:
+            raise InputError(f"body {name!r} has no collision shape")
+    if len(first) == len(second) == 1:
+        return _read_pairs(system, solids, [(first[0], second[0])])
+    return tuple(
+        (a, b)
+        for a, b in solids.pairs
+        if (_is_of(a, first) and _is_of(b, second)) or (_is_of(b, first) and _is_of(a, second))
+    )
+
+
+def _is_of(name: str, side: tuple[str, ...]) -> bool:
+    """Whether a body belongs to a side; all bodies belong to an open one."""
+    return not side or name in side
 
 
 def _read_pairs(system: Model, solids: Solids, pairs: Pairs | None) -> tuple[tuple[str, str], ...]:

@@ -54,6 +54,17 @@ class Solid(NamedTuple):
     radius: float
 
 
+class Gap(NamedTuple):
+    """Two solids of different bodies that are near: the number of their couple, their distance,
+    their nearest points, and the direction from the first to the second.
+    """
+
+    couple: int
+    distance: float
+    points: tuple[Array, Array]
+    normal: Array
+
+
 class Solids(NamedTuple):
     """All solids of a system, and the pairs of bodies that are looked at."""
 
@@ -226,6 +237,20 @@ class Placed:
                 break
             best = min(best, self._measure_solids(int(i[k]), int(j[k])))
         return best
+
+    def list_gaps(self, couples: np.ndarray, within: Array) -> list[Gap]:
+        """List the gaps of pairs (k, 2) of solids that are nearer than `within` (k,), by the pairs."""
+        i, j = couples.T
+        reach = self._solids.radii[i] + self._solids.radii[j]
+        bound = np.linalg.norm(self._centers[i] - self._centers[j], axis=1) - reach
+        out: list[Gap] = []
+        for k in np.flatnonzero(bound < within).tolist():
+            d = self._measure_solids(int(i[k]), int(j[k]))
+            if d < within[k]:
+                found = self._result
+                points = (np.ravel(found.getNearestPoint1()), np.ravel(found.getNearestPoint2()))
+                out.append(Gap(k, d, points, np.ravel(found.normal).copy()))
+        return out
 
     def _measure_solids(self, i: int, j: int) -> float:
         """Measure the distance of two solids."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -234,6 +234,33 @@ class Solution(Answer):
 # ---- the answer for several tasks
 
 
+class Closest(NamedTuple):
+    """The pair of bodies of each problem that comes closest to what a clearance asks.
+
+    Attributes
+    ----------
+    pairs
+        Names of two bodies for each problem, in the order of the flattened batch; None where no
+        pair is near.
+    distance, at_least
+        Their distances (n,) in metres, and those that are asked; infinite and 0 where no pair is
+        near.
+    """
+
+    pairs: tuple[tuple[str, str] | None, ...]
+    distance: Array
+    at_least: Array
+
+    @classmethod
+    def from_rows(cls, rows: Sequence[tuple[str, str, float, float] | None]) -> Closest:
+        """Make it from the names, the distance and the least distance of each problem."""
+        return cls(
+            tuple(None if r is None else r[:2] for r in rows),
+            np.array([np.inf if r is None else r[2] for r in rows]),
+            np.array([0.0 if r is None else r[3] for r in rows]),
+        )
+
+
 @explain_method_errors
 @dataclass(frozen=True, eq=False, repr=False)
 class Reached(Solution):
@@ -250,6 +277,8 @@ class Reached(Solution):
     late
         Mask (...) of the searches that the time limit ended, including those that minimise soft
         tasks and preferences.
+    closest
+        The pair of bodies nearest to what clearances ask; None without clearances.
     """
 
     row = "answers of ik, tasks"
@@ -257,6 +286,7 @@ class Reached(Solution):
 
     errors: dict[str, Array]
     late: Any
+    closest: Closest | None = None
 
     @property
     def _closed_system(self) -> Any:

@@ -66,6 +66,7 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
         if t.weight is not None
     )
     hard = [t for t in problem.tasks if t.weight is None]
+    apart = _describe_closest(answer, answer._count_row(index))
     if code is Status.SOLVED:
         work = wording.describe_search(steps, starts)
         cut = (
@@ -75,11 +76,15 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
         )
         if not hard:
             said = "no hard tasks" if cut else "lowered as far as the system allows"
-            return wording.describe_failure("", f"{said} ({work})", cut, soft)
+            return wording.describe_failure("", f"{said} ({work})", apart, cut, soft)
         worst = np.max([misses[t.label] for t in hard], axis=0)
         left = _describe_freedoms(problem, q)
         return wording.describe_failure(
-            "", wording.describe_hard_tasks(*_merge_errors(hard, worst), work, left), cut, soft
+            "",
+            wording.describe_hard_tasks(*_merge_errors(hard, worst), work, left),
+            apart,
+            cut,
+            soft,
         )
     failing = [t for t in hard if not _is_within_tolerance(problem, t, misses[t.label])]
     what = ", ".join(f"{t.label!r} is missed by {_describe_miss(t, misses)}" for t in failing)
@@ -88,6 +93,8 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
         or f"the hard tasks hold, but {_describe_violations(problem, q) or 'not with closed loops'}"
     )
     near = "q is the nearest found"
+    if apart and not failing:
+        what = f"{'the other tasks hold, but ' * bool(hard)}{apart}"
     if code is Status.OUT_OF_TIME:
         return wording.describe_failure(
             wording.describe_late_search(problem.time_limit, starts, problem.starts),
@@ -99,6 +106,10 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
         calls = wording.describe_vain_calls(problem.given_up)
         return wording.describe_failure(
             wording.describe_vain_starts("reached", starts), what, calls, near, soft
+        )
+    if apart and not failing:
+        return wording.describe_failure(
+            wording.describe_vain_starts("reached", starts), what, near, soft
         )
     why = _list_reasons(problem, q)
     rounded = None
@@ -120,6 +131,15 @@ def _describe_freedoms(problem: Demands, q: Array) -> str:
     return wording.describe_remaining_freedoms(
         first, local.finite_freedoms if first else 0, local.n_equations, local.n_freedoms
     )
+
+
+def _describe_closest(answer: Reached, row: int) -> str:
+    """Describe the pair of bodies of one problem that clearances let come closest; '' without."""
+    closest = answer.closest
+    pair = None if closest is None else closest.pairs[row]
+    if closest is None or pair is None:
+        return ""
+    return wording.describe_closest(pair, closest.distance[row], closest.at_least[row])
 
 
 def _merge_errors(tasks: Sequence[Task], error: Array) -> tuple[float | None, float | None]:

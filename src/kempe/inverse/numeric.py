@@ -25,7 +25,9 @@ from kempe.arguments import (
     read_step_count,
     read_tolerances,
 )
+from kempe.arrays import is_sequence
 from kempe.budget import Usual
+from kempe.constraints.clearances import Apart
 from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError
 from kempe.inverse import multi_start
@@ -269,6 +271,11 @@ def _solve_tasks(problem: Problem) -> Solution:
         if frame is None
         else make_target_constraints(frame, *problem.task, targets.reshape(*problem.lead, 4, 4))
     )
+    given = held if is_sequence(held) else [held]
+    if any(isinstance(t, Apart) for t in given):
+        from kempe.inverse.tasks.keep_clear import reach_clear
+
+        return reach_clear(problem._replace(wanted=given))
     return reach_tasks(problem._replace(wanted=held))
 
 

@@ -168,7 +168,7 @@ class Demands:
         aim = (
             self.aim[index : index + 1] if self.aim is not None and len(self.aim) > 1 else self.aim
         )
-        goals = tuple(_select_goal_row(g, index, self.lead) for g in self.goals)
+        goals = tuple(select_goal_rows(g, index, self.lead) for g in self.goals)
         return replace(self, goals=goals, pins=pins, aim=aim, lead=())
 
     def select_tasks(
@@ -326,14 +326,14 @@ class Demands:
         return stages.ravel(), strengths
 
 
-def _select_goal_row(goal: Goal, index: int, lead: tuple[int, ...]) -> Goal:
-    """Return the goal of row `index` of a batch."""
+def select_goal_rows(goal: Goal, index: int | np.ndarray, lead: tuple[int, ...]) -> Goal:
+    """Return the goal of row `index` of a batch, or the goals of several rows."""
     pose = None if goal.pose is None else _select_row(goal.pose, index, lead, 2)
     numbers: Numbers = {n: _select_row(x, index, lead, 1) for n, x in goal.numbers.items()}
     return Goal(pose, numbers)
 
 
-def _select_row(x: Array, index: int, lead: tuple[int, ...], axes: int) -> Array:
-    """Return row `index` of numbers with a leading shape and `axes` axes of one goal."""
+def _select_row(x: Array, index: int | np.ndarray, lead: tuple[int, ...], axes: int) -> Array:
+    """Return rows `index` of numbers with a leading shape and `axes` axes of one goal."""
     core = x.shape[-axes:]
     return np.broadcast_to(x, (*lead, *core)).reshape(-1, *core)[index]

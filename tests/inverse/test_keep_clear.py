@@ -1,0 +1,271 @@
+"""`ik` with clearances: kept as closed forms measure, found where a grid of configurations finds an
+answer, and said where none is found.
+"""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe.constraints import Clearance, Pose, Position, Posture
+from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedError
+
+pytest.importorskip("coal")
+
+LENGTH = 0.4
+THICK = 0.03
+AT_LEAST = 0.02
+
+
+def planar_arm(rng: np.random.Generator, discs: int = 8, dim: int = 2) -> kempe.System:
+    """Three links of a planar arm as capsules among discs."""
+    m = kempe.Mechanism("arm", dim=dim)
+    last = m.ground
+    for k in range(3):
+        link = m.body(f"link {k}")
+        at = (LENGTH if k else 0.0, 0.0, 0.0)[:dim]
+        m.revolute(f"q{k}", last, link, at=at, limits=(-2.8, 2.8))
+        m.shape(link, "capsule", radius=THICK, length=LENGTH, at=(LENGTH / 2, 0, 0), axis="x")
+        last = link
+    m.frame("tip", last, at=(LENGTH, 0.0, 0.0)[:dim])
+    for k in range(discs):
+        angle = rng.uniform(-np.pi, np.pi)
+        away = rng.uniform(0.35, 1.1)
+        at = (away * np.cos(angle), away * np.sin(angle), 0.0)
+        m.obstacle(f"disc {k}", "sphere", radius=rng.uniform(0.05, 0.12), at=at)
+    return m.build()
+
+
+def discs_of(system: kempe.System) -> tuple[np.ndarray, np.ndarray]:
+    """Centres (n, 2) and radii (n,) of the discs."""
+    bodies = system.mechanism.bodies
+    names = [name for name in bodies if name.startswith("disc")]
+    centers = np.array([system.fk(system.neutral, name)[:2, 3] for name in names])
+    return centers, np.array([bodies[name].shapes[0].geometry.radius for name in names])
+
+
+def distance(system: kempe.System, q: np.ndarray) -> np.ndarray:
+    """The smallest distance (...) of the links from discs, and of the first link from the third."""
+    turned = np.cumsum(q, axis=-1)
+    steps = LENGTH * np.stack([np.cos(turned), np.sin(turned)], axis=-1)
+    joints = np.concatenate([np.zeros_like(steps[..., :1, :]), np.cumsum(steps, axis=-2)], axis=-2)
+    centers, radii = discs_of(system)
+    out = np.full(q.shape[:-1], np.inf)
+    for k in range(3):
+        a, b = joints[..., k, :], joints[..., k + 1, :]
+        for center, radius in zip(centers, radii, strict=True):
+            out = np.minimum(out, to_segment(center, a, b) - radius - THICK)
+    first, third = joints[..., :2, :], joints[..., 2:, :]
+    crossed = (side(first, third[..., 0, :]) != side(first, third[..., 1, :])) & (
+        side(third, first[..., 0, :]) != side(third, first[..., 1, :])
+    )
+    for p, (a, b) in (
+        (third[..., 0, :], (first[..., 0, :], first[..., 1, :])),
+        (third[..., 1, :], (first[..., 0, :], first[..., 1, :])),
+        (first[..., 0, :], (third[..., 0, :], third[..., 1, :])),
+        (first[..., 1, :], (third[..., 0, :], third[..., 1, :])),
+    ):
+        out = np.minimum(out, to_segment(p, a, b) - 2 * THICK)
+    return np.where(crossed, -2 * THICK, out)
+
+
+def to_segment(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Distance of points from segments."""
+    t = np.clip(np.sum((p - a) * (b - a), axis=-1) / LENGTH**2, 0.0, 1.0)
+    return np.linalg.norm(p - a - t[..., None] * (b - a), axis=-1)
+
+
+def side(line: np.ndarray, p: np.ndarray) -> np.ndarray:
+    """On which side of lines (..., 2, 2) points are."""
+    along, away = line[..., 1, :] - line[..., 0, :], p - line[..., 0, :]
+    return along[..., 0] * away[..., 1] > along[..., 1] * away[..., 0]
+
+
+def grid_of_solutions(target: np.ndarray) -> np.ndarray:
+    """Configurations (n, 3) within limits that reach a target: all of a grid of first angles."""
+    first = np.linspace(-2.8, 2.8, 2000)
+    p = target - LENGTH * np.stack([np.cos(first), np.sin(first)], axis=-1)
+    c = (np.sum(p * p, axis=-1) - 2 * LENGTH**2) / (2 * LENGTH**2)
+    there = np.abs(c) <= 1.0
+    out = []
+    for sign in (1.0, -1.0):
+        q2 = sign * np.arccos(c[there])
+        angle = np.arctan2(p[there, 1], p[there, 0]) - q2 / 2
+        q1 = np.mod(angle - first[there] + np.pi, 2 * np.pi) - np.pi
+        out.append(np.stack([first[there], q1, q2], axis=-1))
+    q = np.concatenate(out)
+    return q[(np.abs(q) <= 2.8).all(axis=-1)]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_found_where_a_grid_of_configurations_finds_an_answer(dim, hunt):
+    rng = hunt.rng()
+    asked = there = kept = 0
+    for _ in range(hunt.cases(3)):
+        s = planar_arm(rng, dim=dim)
+        angle, away = rng.uniform(-np.pi, np.pi, 12), rng.uniform(0.2, 1.1, 12)
+        targets = away[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+        exists = np.array(
+            [max(distance(s, grid_of_solutions(t)), default=-1.0) > AT_LEAST for t in targets]
+        )
+        wide = np.pad(targets, ((0, 0), (0, dim - 2)))
+        found = s.ik([Position("tip", wide), Clearance("self", at_least=AT_LEAST)])
+        clear = distance(s, found.q) >= AT_LEAST - 1e-6
+        assert clear[found.success].all()
+        np.testing.assert_allclose(
+            s.fk(found.q[found.success], "tip")[:, :2, 3], targets[found.success], atol=1e-5
+        )
+        assert (s.geometry.clearance(found.q[found.success]) >= AT_LEAST).all()
+        asked += len(exists)
+        there += exists.sum()
+        kept += (found.success & exists).sum()
+    assert 0 < there < asked
+    assert kept >= 0.97 * there
+
+
+def test_what_is_not_found_is_said_with_the_pair_and_its_distance():
+    s = planar_arm(np.random.default_rng(3))
+    center = discs_of(s)[0][0]
+    a = s.ik([Position("tip", center), Clearance("self", at_least=AT_LEAST)])
+    assert not a.success and a.code == kempe.Status.NOT_FOUND and not a.proven
+    assert "'link 2' and 'disc 0' overlap by" in a.status and "at least 0.02 m" in a.status
+    assert a.closest.pairs == (("link 2", "disc 0"),)
+    short = AT_LEAST - distance(s, a.q)
+    np.testing.assert_allclose(a.errors["Clearance of all bodies"], [short, 0.0], atol=1e-5)
+    np.testing.assert_allclose(a.closest.distance, AT_LEAST - short, atol=1e-5)
+    assert pickle.loads(pickle.dumps(a)).status == a.status
+
+
+def test_a_batch_says_each_of_its_rows():
+    s = planar_arm(np.random.default_rng(3))
+    center = discs_of(s)[0][0]
+    a = s.ik([Position("tip", [center, (9.0, 9.0), (0.6, 0.2)]), Clearance(at_least=AT_LEAST)])
+    assert a.success.tolist() == [False, False, True]
+    assert "overlap" in a.status[0] and "outside the workspace" in a.status[1]
+    assert "apart" in a.status[2]
+    alone = s.ik([Position("tip", (0.6, 0.2)), Clearance(at_least=AT_LEAST)])
+    assert alone.success and s.geometry.clearance(alone.q) >= AT_LEAST
+    nothing = s.ik([Position("tip", np.zeros((0, 2))), Clearance(at_least=AT_LEAST)])
+    assert nothing.q.shape == (0, 3)
+
+
+def test_a_free_box_is_led_out_of_a_wall():
+    """The pose has quaternions, and corners in turn are nearest."""
+    m = kempe.Mechanism("box")
+    m.free("F", m.ground, m.body("box"))
+    m.shape("box", "box", size=(0.2, 0.3, 0.5))
+    m.obstacle("wall", "box", size=(0.2, 4, 4))
+    s = m.build()
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        q = s.random(rng)
+        q[:3] = rng.uniform(-0.2, 0.2, 3)
+        a = s.ik(Clearance("box", "wall", at_least=0.1), start=q)
+        assert a.success, a
+        R, x = (X := s.fk(a.q, "box"))[:3, :3], X[0, 3]
+        half = np.abs(R[0]) @ [0.1, 0.15, 0.25]
+        assert abs(x) - half - 0.1 >= 0.1 - 1e-6  # the support function of a box
+        assert s.geometry.clearance(a.q) >= 0.1
+
+
+def test_two_arms_reach_at_the_same_time_and_keep_apart():
+    m = kempe.Mechanism("two arms")
+    for name, x in (("left", 0.0), ("right", 0.7)):
+        last = m.ground
+        for k, axis in enumerate("zyyzyy"):
+            link = m.body(f"{name} {k}")
+            m.revolute(
+                f"{name} q{k}", last, link, at=(0, 0, 0.2) if k else (x, 0, 0), axis=axis,
+                limits=(-2.9, 2.9),
+            )  # fmt: skip
+            m.shape(link, "sphere", radius=0.06, at=(0, 0, 0.1))
+            last = link
+        m.frame(f"{name} hand", last, at=(0, 0, 0.15))
+    m.obstacle("post", "sphere", radius=0.1, at=(0.35, 0.1, 0.5))
+    s = m.build()
+    q = s.random(np.random.default_rng(1), 300)
+    q = q[s.geometry.clearance(q) >= AT_LEAST][:30]
+    wanted = [Position(f"{n} hand", s.fk(q, f"{n} hand")[:, :3, 3]) for n in ("left", "right")]
+    a = s.ik([*wanted, Clearance("self", at_least=AT_LEAST)])
+    assert a.success.all()
+    centers = s.fk(a.q)[..., :3, 3] + 0.1 * s.fk(a.q)[..., :3, 2]
+    bodies = list(s.body_names)
+    for one, other in s.geometry.pairs:
+        p, r = (
+            np.array([0.35, 0.1, 0.5]) if n == "post" else centers[:, bodies.index(n)]
+            for n in (one, other)
+        )
+        radii = 0.06 + (0.1 if "post" in (one, other) else 0.06)
+        assert (np.linalg.norm(p - r, axis=-1) - radii >= AT_LEAST - 1e-9).all()
+
+
+def test_groups_and_several_clearances():
+    s = planar_arm(np.random.default_rng(2))
+    near = Clearance("link 2", ["disc 0", "disc 1"], at_least=0.05)
+    a = s.ik([near, Clearance("link 1", at_least=0.01), Posture([0.1, 0.2, 0.3])])
+    assert a.success
+    assert s.geometry.clearance(a.q, [("link 2", "disc 0"), ("link 2", "disc 1")]) >= 0.05
+    of_link = [pair for pair in s.geometry.pairs if "link 1" in pair]
+    assert s.geometry.clearance(a.q, of_link) >= 0.01
+    assert set(a.errors) >= {near.label, "Clearance of 'link 1' and all other bodies"}
+
+
+@pytest.mark.parametrize(
+    ("made", "error", "said"),
+    [
+        (lambda: Clearance("self", at_least=-0.1), InputError, "must not be negative"),
+        (lambda: Clearance("self", at_least=np.nan), InputError, "must be finite"),
+        (lambda: Clearance("self", at_least=[0.1, 0.2]), InputError, "one for all"),
+        (lambda: Clearance("self", "disc 0"), InputError, "leave b out"),
+        (lambda: Clearance(3), InputError, "a list of names"),
+        (lambda: Clearance("link 0", []), InputError, "a list of names"),
+        (lambda: Clearance("self", weight=2.0), InputError, "has a weight"),
+        (lambda: Clearance("self", at_least=0.1).soft(), InputError, "has a weight"),
+    ],
+)
+def test_bad_clearances(made, error, said):
+    with pytest.raises(error, match=said):
+        made()
+
+
+def test_bad_bodies():
+    s = planar_arm(np.random.default_rng(2))
+    there = Position("tip", (0.6, 0.2))
+    with pytest.raises(UnknownNameError, match="link 2"):
+        s.ik([there, Clearance("link2")])
+    with pytest.raises(InputError, match="'ground' has no collision shape"):
+        s.ik([there, Clearance("ground")])
+    with pytest.raises(InputError, match="no two of these bodies can touch"):
+        s.ik([there, Clearance(["disc 0", "disc 1"], "disc 2")])
+    with pytest.raises(InputError, match="no body of .* has a collision shape"):
+        kempe.load("puma560").ik(Clearance())
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda s, c: s.ik_path([c, Position("tip", [(0.6, 0.2), (0.5, 0.2)])]),
+        lambda s, c: s.ik_step(s.mid, c, dt=0.01),
+        lambda s, c: s.assemble(also=[c]),
+        lambda s, c: s.mechanism.constrain(c),
+        lambda s, c: kempe.tasks.error(s, c, s.mid),
+    ],
+)
+def test_what_does_not_take_a_clearance_refuses_it(call):
+    s = planar_arm(np.random.default_rng(2))
+    with pytest.raises(KempeError) as caught:
+        call(s, Clearance(at_least=AT_LEAST))
+    assert isinstance(caught.value, UnsupportedError) and "not here" in str(caught.value)
+
+
+def test_the_answer_is_the_same_every_time():
+    s = planar_arm(np.random.default_rng(5), dim=3)
+    q = s.random(np.random.default_rng(0), 40)
+    X = s.fk(q[s.geometry.clearance(q) >= AT_LEAST][:4], "tip")
+    wanted = [Pose("tip", X), Clearance(at_least=AT_LEAST)]
+    a, b = s.ik(wanted), s.ik(wanted)
+    np.testing.assert_array_equal(a.q, b.q)
+    assert a.success.all()
