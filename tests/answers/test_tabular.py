@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe.answers.tables import Tabular
+from kempe.answers.tables import Tabular, read_pose_columns
 from kempe.errors import InputError
 from kempe.system import System
 
@@ -165,3 +165,12 @@ def test_files_of_the_home_folder(tmp_path: Path, monkeypatch):
     assert (
         bar().mechanism.save("~/m.toml") == tmp_path / "m.toml" and kempe.load("~/m.toml") == bar()
     )
+
+
+def test_columns_of_targets_may_have_names_in_capitals():
+    rows = np.array([[0.3, 0.1, 0.2]])
+    X, is_position = read_pose_columns(3, rows, ("Z", "X", "Y"))
+    assert is_position
+    np.testing.assert_array_equal(X[0, :3, 3], [0.1, 0.2, 0.3])
+    with pytest.raises(InputError, match="pos_x, y, z; it must be x,y,z .* in any order"):
+        read_pose_columns(3, rows, ("pos_x", "y", "z"))

@@ -197,16 +197,17 @@ def read_pose_columns(
 ) -> tuple[Array, bool]:
     """Read poses (..., 4, 4) of targets from columns (..., k), and whether they are positions only.
 
-    Columns are in the order of `COLUMNS`, or have the `names` there. Angles turn about fixed axes,
-    as in URDF; where `degrees` says so they are degrees. A quaternion of length zero gives NaN.
-    Errors: `InputError`.
+    Columns are in the order of `COLUMNS`, or have the `names` there, in capitals or not. Angles
+    turn about fixed axes, as in URDF; where `degrees` says so they are degrees. A quaternion of
+    length zero gives NaN. Errors: `InputError`.
     """
     width = values.shape[-1]
+    keys = None if names is None else [name.lower() for name in names]
     order = next(
         (
             c
             for c in COLUMNS[dim]
-            if (len(c) == width if names is None else sorted(c) == sorted(names))
+            if (len(c) == width if keys is None else sorted(c) == sorted(keys))
         ),
         None,
     )
@@ -216,9 +217,10 @@ def read_pose_columns(
             if names is None
             else f"the columns {join_first_words(names, 12)}"
         )
-        raise InputError(f"the target has {has}; it must be {describe_target_columns(dim)}")
-    if names is not None:
-        values = values[..., [list(names).index(name) for name in order]]
+        order = "" if names is None else ", in any order"
+        raise InputError(f"the target has {has}; it must be {describe_target_columns(dim)}{order}")
+    if keys is not None:
+        values = values[..., [keys.index(name) for name in order]]
     full = np.zeros((*values.shape[:-1], 6))
     whole = ("x", "y", "yaw") if order[-1] == "angle" else order[:3] if order[-1] == "qz" else order
     full[..., [(*PLACE, *TURNED).index(name) for name in whole]] = values[..., : len(whole)]
