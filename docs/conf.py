@@ -33,6 +33,7 @@ default_role = "code"
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 add_module_names = False
+toc_object_entries_show_parents = "hide"
 python_use_unqualified_type_names = True
 
 _LITERAL = re.compile(r"(``[^`]+``|`[^`]+`)")

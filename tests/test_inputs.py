@@ -33,7 +33,8 @@ FAMILIES: dict[str, type] = {
     "reach": namespaces.ReachStudies,
     "symbolic": namespaces.Symbolic,
 }
-API = (Path(__file__).parent.parent / "docs" / "api.md").read_text()
+REFERENCE = (Path(__file__).parent.parent / "docs" / "api").glob("*.md")
+API = "".join(page.read_text(encoding="utf-8") for page in sorted(REFERENCE))
 
 
 def listed() -> dict[str, Callable[..., Any]]:
