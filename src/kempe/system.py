@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from kempe.assemble.answer import Assembly
     from kempe.assemble.modes import Modes
     from kempe.assemble.nearest_exact import Idealised
+    from kempe.constraints.base import Constraint
     from kempe.description.mechanism import Mechanism
     from kempe.forward.fk import Query
     from kempe.forward.parameter_batches import Designs
@@ -980,6 +981,7 @@ class System(Model, Pictured):
         task: str | tuple[str, ArrayLike] | None = None,
         fixed: Mapping[str, ArrayLike] | None = None,
         limits: bool | str = False,
+        clearance: Constraint | Sequence[Constraint] | None = None,
         tolerance: float | None = None,
         budget: Budget | None = None,
     ) -> Solutions | Modes:
@@ -1004,6 +1006,9 @@ class System(Model, Pictured):
         limits
             False: solutions outside the limits are kept, after those inside. True: they are
             dropped. "turns": also list each solution with all whole turns inside the limits.
+        clearance
+            `Clearance`, or a list of them: solutions that come nearer are left out, and the status
+            counts them (default: none).
         tolerance
             Largest error of a solution in metres and radians (default: 1e-9, or rounding if that is
             larger).
@@ -1039,7 +1044,9 @@ class System(Model, Pictured):
         elimination (`kempe.kernels.elimination`) or search.
         """
         plain = (
-            frame.__class__ is str and start is task is tolerance is budget is None and not limits
+            frame.__class__ is str
+            and start is task is tolerance is budget is clearance is None
+            and not limits
         )
         if plain and target.__class__ is ARRAY and target.shape == (4, 4):  # type: ignore[union-attr]
             bound = self._kept["ik_all"].get(
@@ -1057,6 +1064,7 @@ class System(Model, Pictured):
             task=task,
             fixed=fixed,
             limits=limits,
+            clearance=clearance,
             tolerance=tolerance,
             budget=budget,
         )

@@ -5,12 +5,15 @@ answer, and said where none is found.
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
+from command import Result
 
 import kempe
 from kempe.constraints import Clearance, Pose, Position, Posture
+from kempe.description.toml_writer import write_toml
 from kempe.errors import InputError, KempeError, UnknownNameError, UnsupportedError
 
 pytest.importorskip("coal")
@@ -269,3 +272,45 @@ def test_the_answer_is_the_same_every_time():
     a, b = s.ik(wanted), s.ik(wanted)
     np.testing.assert_array_equal(a.q, b.q)
     assert a.success.all()
+
+
+def test_ik_all_leaves_out_what_comes_too_near():
+    s = planar_arm(np.random.default_rng(3))
+    keep = Clearance("self", at_least=AT_LEAST)
+    X = s.fk(s.random(np.random.default_rng(0), 60), "tip")
+    every, kept = s.ik_all(X, "tip"), s.ik_all(X, "tip", clearance=keep)
+    clear = distance(s, every.q) >= AT_LEAST
+    assert 0 < (clear & every.mask).sum() < every.mask.sum()
+    np.testing.assert_array_equal(kept.mask.sum(axis=1), (clear & every.mask).sum(axis=1))
+    assert (distance(s, kept.q[kept.mask]) >= AT_LEAST).all()
+    np.testing.assert_array_equal(kept.success, (clear & every.mask & every.inside).any(axis=1))
+    k = int(np.flatnonzero((every.mask & ~clear).sum(axis=1) == 2)[0])
+    one = s.ik_all(X[k], "tip", clearance=[keep])
+    assert not one.success and len(one.q) == 0 and "2 are left out that come too near" in one.status
+    with pytest.raises(InputError, match="must be a kempe.constraints.Clearance"):
+        s.ik_all(X[0], "tip", clearance=0.02)
+    with pytest.raises(KempeError, match="loops"):
+        kempe.load("four_bar").ik_all((0.1, 0.1), "coupler", clearance=keep)
+
+
+def test_the_command_line_keeps_clear(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    system = planar_arm(np.random.default_rng(3))
+    Path("cell.toml").write_text(write_toml(system.mechanism))
+    Path("t.toml").write_text(
+        '[[task]]\ntype = "position"\nframe = "tip"\ntarget = [0.6, 0.2]\n'
+        '[[task]]\ntype = "clearance"\na = "self"\nat_least = 0.02\n'
+    )
+    call = ("ik", "cell.toml")
+    for given in (
+        ("--frame", "tip", "--target", "0.6,0.2", "--clearance", "0.02"),
+        ("--tasks", "t.toml"),
+    ):
+        data = Result(*call, *given, "--json").json()
+        assert data["success"] and distance(system, system.q(data["q"])) >= AT_LEAST - 1e-6
+    found = Result(
+        *call, "--frame", "tip", "--target", "0.6,0.2,0.3", "--all", "--clearance", "0.02"
+    )
+    assert found.code == 1 and "2 are left out that come too near" in found.out
+    Path("t.toml").write_text('[[task]]\ntype = "clearance"\na = "nobody"\nat_least = 0.02\n')
+    assert "nobody" in Result(*call, "--tasks", "t.toml").err

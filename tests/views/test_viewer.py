@@ -6,13 +6,11 @@ from __future__ import annotations
 
 import http.client
 import io
-import itertools
 import json
 import socket
 import subprocess
 import sys
 import time
-import types
 from pathlib import Path
 from urllib.parse import urlsplit
 

@@ -105,13 +105,23 @@ def run_ik(
             "--prefer", "What tasks leave free: 'nearest', 'mid' or 'manipulability'.", "WHAT"
         ),
     ] = None,
+    clearance: Annotated[
+        float | None,
+        make_option(
+            "--clearance", "Distance that all bodies keep, by their collision shapes.", "METRES"
+        ),
+    ] = None,
 ) -> None:
     """Find a configuration that brings a frame to a pose, or all of them (of a redundant chain for
     joints to --hold), or one that holds several tasks.
 
+    With --clearance, bodies and obstacles keep a distance.
+
     Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
     """
     from kempe.cli import arguments
+    from kempe.constraints import KINDS
+    from kempe.inverse.ik import make_frame_tasks
 
     if all and rng is not None:
         raise InputError("--rng is for a search: leave --all out")
@@ -128,9 +138,22 @@ def run_ik(
         "tolerance": arguments.parse_single_or_several(tolerance, "tolerance"),
         "task": arguments.make_task_argument(task, axis),
     }
+    apart: Any = None if clearance is None else KINDS["clearance"]
     if all:
         held = arguments.parse_known_values(system, hold or [], output.deg)
-        answer: Any = system.ik_all(wanted, frame or "", fixed=held, **common)
+        keep = None if apart is None else apart(at_least=clearance)
+        answer: Any = system.ik_all(wanted, frame or "", fixed=held, clearance=keep, **common)
+    elif apart is not None:
+        task_of_frame = common.pop("task")
+        tasks_held = (
+            wanted if frame is None else make_frame_tasks(system, wanted, frame, task_of_frame)
+        )
+        answer = system.ik(
+            [*tasks_held, apart(at_least=clearance)],
+            prefer=cast("Any", prefer),
+            budget=Budget(rng=rng),
+            **common,
+        )
     else:
         answer = system.ik(
             wanted, frame, prefer=cast("Any", prefer), budget=Budget(rng=rng), **common

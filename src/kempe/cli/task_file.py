@@ -272,6 +272,11 @@ def _are_frames(x: Any) -> bool:
     return isinstance(x, list) and all(map(_is_text, entries))
 
 
+def _are_bodies(x: Any) -> bool:
+    """Whether a value is a name, or a list of names."""
+    return _is_text(x) or (isinstance(x, list) and _are_frames(x))
+
+
 def _are_numbers(x: Any) -> bool:
     """Whether a value is a number, or numbers in nested lists."""
     try:
@@ -286,12 +291,14 @@ def _has_name(value: Any, name: object) -> bool:
 
 
 TEXT = ("frame", "other", "name", "axes", "shape", "surface")
+BODIES = ("a", "b")
 FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     **{key: (_is_text, "text in quotes") for key in TEXT},
     "weight": (_is_number, "a number"),
     "margin": (_is_number, "a number"),
     "priority": (_is_whole, "a whole number"),
     "tolerance": (_is_tolerance, "one or two numbers, in metres and radians"),
+    **{key: (_are_bodies, "the name of a body, or a list of names") for key in BODIES},
     "frames": (_are_frames, "a list of names, or a table of weights"),
 }
 """Tests of values by the names of parameters, and what the values must be; the others are numbers."""

@@ -152,6 +152,17 @@ class Watch(NamedTuple):
         """
         return Placed(self.solids, X).list_gaps(self.couples, self.at_least + band)
 
+    def find_worst(self, gaps: Sequence[Gap]) -> tuple[str, str, float, float] | None:
+        """Find the pair that falls shortest: its names, its distance, and what is asked.
+
+        None without gaps.
+        """
+        if not gaps:
+            return None
+        worst = min(gaps, key=lambda g: g.distance - self.at_least[g.couple])
+        asked = float(self.at_least[worst.couple])
+        return (*self.name_bodies(worst.couple), worst.distance, asked)
+
 
 def watch_clearances(system: Model, clearances: Sequence[Apart]) -> Watch:
     """Find the pairs of solids that clearances keep apart.

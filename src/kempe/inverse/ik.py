@@ -27,6 +27,7 @@ from kempe.answers.targets import (
     choose_task,
     is_axis_task,
     make_planar_target,
+    make_target_constraints,
     parse_task_targets,
     read_target,
     refuse_position,
@@ -50,6 +51,7 @@ from kempe.spatial import Array
 from kempe.status import MEMBERS, Status, to_status
 
 if TYPE_CHECKING:
+    from kempe.constraints.base import Constraint
     from kempe.model.model import FrameLike, Model
 
 
@@ -249,6 +251,17 @@ def ik(
         system, "one", start=start, prefer=prefer, tolerance=tolerance, budget=budget, wanted=target
     )
     return solve_problem(SOLVERS, problem)
+
+
+def make_frame_tasks(
+    system: Model, target: Any, frame: FrameLike, task: str | tuple[str, ArrayLike] | None = None
+) -> list[Constraint]:
+    """Make the tasks that bring a frame to targets, as `ik` reads them."""
+    name = system.structure.frame_name(frame)
+    (word, axis), X, lead = _check_targets(
+        system, name, read_target(system, target), *split_task(task)
+    )
+    return make_target_constraints(name, word, axis, X.reshape(*lead, 4, 4))
 
 
 def _solve_frame(

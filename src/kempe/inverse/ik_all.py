@@ -21,12 +21,13 @@ from kempe.answers.targets import (
     split_task,
 )
 from kempe.arguments import explain_errors
-from kempe.arrays import FARTHEST
+from kempe.arrays import FARTHEST, is_sequence
 from kempe.budget import Budget
-from kempe.errors import InputError
+from kempe.constraints.clearances import Apart
+from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.inverse.all_answer import Solutions
 from kempe.inverse.closed_forms.problem import read_fixed_values
-from kempe.inverse.solve_all import BATCH, SOLVERS, USUAL
+from kempe.inverse.solve_all import BATCH, SOLVERS, USUAL, select_clear_solutions
 from kempe.numerics.clock import TimeLimit, limit_preparation_time
 
 if TYPE_CHECKING:
@@ -47,6 +48,7 @@ def ik_all(
     task: str | tuple[str, ArrayLike] | None = None,
     fixed: Mapping[str, Any] | None = None,
     limits: bool | str = False,
+    clearance: Any = None,
     tolerance: float | None = None,
     budget: Budget | None = None,
 ) -> Solutions | Modes:
@@ -84,4 +86,23 @@ def ik_all(
     with limit_preparation_time(USUAL, time):
         solver, choice = select_solver(SOLVERS, problem)
     problem = problem._replace(options={"time": time})
-    return record_choice(solver.run(problem), choice)
+    answer = solver.run(problem)
+    if clearance is not None:
+        answer = select_clear_solutions(answer, _read_clearances(answer, clearance))
+    return record_choice(answer, choice)
+
+
+def _read_clearances(answer: Any, clearance: Any) -> list[Apart]:
+    """Read one clearance, or several. Errors: `InputError`; `UnsupportedError` for modes."""
+    given = list(clearance) if is_sequence(clearance) else [clearance]
+    if not given or not all(isinstance(c, Apart) for c in given):
+        raise InputError(
+            f"clearance is {format_value(clearance)}; it must be a kempe.constraints.Clearance, or "
+            "a list of them"
+        )
+    if not isinstance(answer, Solutions):
+        raise UnsupportedError(
+            "clearance: the frame moves with loops, or with joints that follow others; "
+            "system.geometry.clearance measures the modes"
+        )
+    return given

@@ -7,19 +7,22 @@ loops, the solutions are assembly modes.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.answers import wording
 from kempe.answers.problem import Problem, Solver, accept_all_problems
 from kempe.answers.targets import Z_AXIS, explain_refused_target
 from kempe.arrays import FARTHEST
 from kempe.budget import Budget, Usual
+from kempe.constraints.clearances import Apart
 from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.errors import InputError, UnsupportedError
+from kempe.forward.fk import fk
 from kempe.inverse.all_answer import Solutions, pack_rows
 from kempe.inverse.chain.serial_chain import (
     has_shared_coordinates,
@@ -55,7 +58,10 @@ if TYPE_CHECKING:
     from kempe.model.model import Model
 
 
-# ---- solutions that hold one-sided constraints
+# ---- solutions that hold one-sided constraints, and that keep clear
+
+PAIRS_SAID = 3
+"""Pairs of bodies that a status names as too near."""
 
 
 def select_obeying_solutions(solutions: Solutions) -> Solutions:
@@ -91,6 +97,41 @@ def select_obeying_solutions(solutions: Solutions) -> Solutions:
         )
         out._counts = counts
     return out
+
+
+def select_clear_solutions(solutions: Solutions, clearances: Sequence[Apart]) -> Solutions:
+    """Select the solutions that keep clearances; the status says how many do not, and which pairs."""
+    from kempe.geometry.clearance import watch_clearances  # only here: seldom asked for
+
+    system = solutions.system
+    watch = watch_clearances(system, clearances)
+    names = watch.solids.names
+    used = solutions._used_rows
+    q = np.where(used[..., None], solutions._fill_configurations(), system.neutral)
+    bad = np.zeros(used.shape, dtype=bool)
+    texts = np.full(len(used), "", dtype=object)
+    if solutions._left_out is not None:
+        texts[:] = solutions._left_out
+    for i in range(len(used)):
+        near: dict[str, None] = {}
+        for k in np.flatnonzero(used[i]).tolist():
+            X = fk(system, q[i, k], names)
+            worst = watch.find_worst(watch.list_gaps(X, 0.0))
+            if worst is not None:
+                bad[i, k] = True
+                near[wording.describe_closest(worst[:2], *worst[2:])] = None
+        if near:
+            count = int(bad[i].sum())
+            said = join_words(list(near)[:PAIRS_SAID]) + ", ..." * (len(near) > PAIRS_SAID)
+            left = "1 is left out that comes" if count == 1 else f"{count} are left out that come"
+            texts[i] += f"; {left} too near: {said}"
+    if not bad.any():
+        return solutions
+    rows = solutions._rows.copy()
+    rows[bad, -A.INFO + A.CODE] = A.UNUSED
+    rows = pack_rows(rows) if solutions.single else rows
+    whole = solutions if solutions._whole is None else solutions._whole
+    return solutions._replace_rows(rows, whole, texts)
 
 
 def _list_wound_coordinates(solutions: Solutions) -> list[str]:

@@ -316,16 +316,8 @@ class ClearSearch:
             success=(codes == Status.SOLVED).reshape(lead) if lead else codes[0] == 0,
             code=codes.reshape(lead) if lead else Status(int(codes[0])),
             errors=errors,
-            closest=Closest.from_rows([self._find_worst(gaps) for gaps in best.gaps]),
+            closest=Closest.from_rows([self.watch.find_worst(gaps) for gaps in best.gaps]),
         )
-
-    def _find_worst(self, gaps: list[Gap]) -> tuple[str, str, float, float] | None:
-        """Find the pair that falls shortest: its names, its distance, and what is asked."""
-        if not gaps:
-            return None
-        worst = min(gaps, key=lambda g: g.distance - self.watch.at_least[g.couple])
-        asked = float(self.watch.at_least[worst.couple])
-        return (*self.watch.name_bodies(worst.couple), worst.distance, asked)
 
 
 def _make_planes(gaps: Sequence[Gap], height: Array, A: Array, B: Array, dim: int) -> Array:
