@@ -287,11 +287,14 @@ class Pictured:
         q: StartLike | None = None,
         *,
         path: MotionLike | None = None,
+        frame: FrameLike | None = None,
+        labels: bool = False,
         seconds: float = 6.0,
     ) -> None:
         """Write an HTML page with the system in space, which needs no server or network.
 
-        The mouse turns the view. Sliders and targets need the live page of `show`.
+        The mouse turns the view. A motion has a slider and a button to play it; sliders of
+        coordinates and targets need the live page of `show`.
 
         Parameters
         ----------
@@ -301,6 +304,10 @@ class Pictured:
             Configuration (nq,) or values by name (default: as in `plot`).
         path
             Motion that is played repeatedly: configurations (n, nq), or an answer with such a `q`.
+        frame
+            Name of the frame whose curve in the motion is drawn (default: as in `show`).
+        labels
+            Whether joints, bodies and frames have their names beside them.
         seconds
             Duration of the motion in seconds.
 
@@ -308,6 +315,8 @@ class Pictured:
         ------
         InputError
             For wrong shapes, another ending, or a folder that does not exist.
+        UnknownNameError
+            If there is no such frame.
         MissingExtraError
             Without the extra [view].
 
@@ -317,7 +326,7 @@ class Pictured:
         """
         from kempe.views.viewer.pages import save_html
 
-        return save_html(self, file, q, path=path, seconds=seconds)
+        return save_html(self, file, q, path=path, frame=frame, labels=labels, seconds=seconds)
 
     @explain_errors
     def plot_tree(self: Any, ax: Axes | None = None) -> Axes:

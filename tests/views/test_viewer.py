@@ -377,6 +377,8 @@ def test_wrong_calls_of_the_viewer_are_refused(tmp_path):
             arm.show(**{"port": 0, "browser": False, switch: "yes"})
     with pytest.raises(InputError, match="q has"):
         arm.show([1.0, 2.0, 3.0], browser=False)
+    with pytest.raises(UnknownNameError, match="nix"):
+        arm.save_html(tmp_path / "x.html", frame="nix")
     for wrong in ("robot.png", tmp_path / "no" / "robot.html", 3):
         with pytest.raises(InputError):
             arm.save_html(wrong)
@@ -890,7 +892,7 @@ def test_a_saved_page_opens_from_disk_and_moves(browser, tmp_path):
     """
     bar = kempe.load("four_bar")
     file = tmp_path / "robot.html"
-    bar.save_html(file, path=bar.trace("A"), seconds=2.0)
+    bar.save_html(file, path=bar.trace("A"), labels=True, seconds=2.0)
     tab = browser.new_page(viewport={"width": 600, "height": 500})
     requests = []
     tab.on("request", lambda r: requests.append(r.url))
@@ -899,6 +901,7 @@ def test_a_saved_page_opens_from_disk_and_moves(browser, tmp_path):
     bar = tab.locator(".mantine-Slider-root").first
     note.wait_for()
     bar.wait_for()
+    assert "lengths in m; red: the curve of coupler_point" in note.inner_text()
     own = note.bounding_box()
     below = bar.bounding_box()
     assert own["y"] + own["height"] < below["y"], "above the player"
