@@ -48,7 +48,7 @@ motion
 spaces
 workspace
 views: plot_options | drawing | * | viewer
-solvers tasks convert namespaces
+solvers tasks convert namespaces designs
 system
 __init__
 cli __main__

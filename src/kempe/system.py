@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from kempe.assemble.nearest_exact import Idealised
     from kempe.constraints.base import Constraint
     from kempe.description.mechanism import Mechanism
+    from kempe.designs import Designs
     from kempe.forward.fk import Query
-    from kempe.forward.parameter_batches import Designs
     from kempe.inverse.all_answer import Solutions
     from kempe.inverse.answer import Solution
     from kempe.inverse.ik_step import IkStep
@@ -2030,7 +2030,7 @@ class System(Model, Pictured):
         UnsupportedError
             For arrays on which a coupling depends.
         """
-        from kempe.forward.parameter_batches import with_parameters
+        from kempe.designs import with_parameters
 
         return with_parameters(self, numbers)
 

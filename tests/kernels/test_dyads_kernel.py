@@ -31,7 +31,9 @@ def run(code: Code, known, values, near=None, signs=None):
     status = np.full((len(values), 3), 7.0)
     near = np.zeros((1, code.nq)) if near is None else near
     signs = np.ones((1, code.signs)) if signs is None else signs
-    assert dyads_program.run_program(ints, floats, values, signs, near, q, status) == len(values)
+    assert dyads_program.run_program(ints, floats[None], values, signs, near, q, status) == len(
+        values
+    )
     return q, status
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import kempe
 from kempe import Mechanism, System
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.status import Status
 
 
 def two_link() -> System:
@@ -102,3 +104,140 @@ def test_systems_without_coordinates():
     designs = m.build().with_parameters(d=[1.0, 2.0, 3.0])
     np.testing.assert_array_equal(designs.fk([], "f")[:, 0, 3], [1, 2, 3])
     assert designs.fk(np.zeros((3, 4, 0)), "f").shape == (3, 4, 4, 4)
+
+
+# ---- loops
+
+
+def close_four_bar(a, b, c, d, A, sign):
+    """Direction of the coupler of the four-bar of the library, by the law of cosines.
+
+    Its pins are (0, 0), a (cos A, sin A), and (d, 0); the sign is that of the side of the pin of
+    coupler and rocker on the way from the crank's end to the ground.
+    """
+    end = a * np.exp(1j * A)
+    way = d - end
+    cosine = (b**2 + np.abs(way) ** 2 - c**2) / (2 * b * np.abs(way))
+    return np.angle(way) + sign * np.arccos(cosine)
+
+
+@pytest.mark.parametrize("branch", ["+", "-"])
+def test_four_bars_close_as_the_law_of_cosines_says(branch):
+    bar = kempe.load("four_bar")
+    rng = np.random.default_rng(1)
+    numbers = {k: x * rng.uniform(0.8, 1.2, (50, 4)) for k, x in bar.structure.parameters.items()}
+    designs = bar.with_parameters(**numbers)
+    A = rng.uniform(-3.0, 3.0, (50, 4, 7))
+    answer = designs.assemble({"A": A}, branch=branch)
+    a, b, c, d = (numbers[k][..., None] for k in "abcd")
+    with np.errstate(invalid="ignore"):
+        coupler = close_four_bar(a, b, c, d, A, 1 if branch == "+" else -1)
+    closes = np.isfinite(coupler)
+    assert answer.q.shape == (50, 4, 7, 4) and 100 < closes.sum()
+    np.testing.assert_array_equal(answer.success, closes)
+    at = bar.coordinate_names.index
+    turned = answer.q[..., at("A")] + answer.q[..., at("B")] - coupler
+    assert np.abs(np.sin(0.5 * turned[closes])).max() < 1e-12
+    X = designs.fk(answer.q, "coupler")
+    pin = X[..., :2, 3] + b[..., None] * X[..., :2, 0]
+    far = np.stack([a * np.cos(A) + b * np.cos(coupler), a * np.sin(A) + b * np.sin(coupler)], -1)
+    np.testing.assert_allclose(pin[closes], far[closes], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [
+        ("watt_six_bar", "A"),
+        ("jansen", "crank"),
+        ("klann", "crank"),
+        ("slider_crank", "A"),
+        ("peaucellier", "crank"),
+    ],
+)
+def test_designs_close_as_each_of_them_alone(name, known):
+    """On every branch, where the loops of some do not close; angles are near the start."""
+    system = kempe.load(name)
+    rng = np.random.default_rng(2)
+    numbers = {
+        k: x * rng.uniform(0.9, 1.1, 12) for k, x in system.structure.parameters.items() if x
+    }
+    known = known if known in system.coordinate_names else system.coordinate_names[0]
+    designs = system.with_parameters(**numbers)
+    values = rng.uniform(-1.0, 1.0, (12, 5))
+    signs = system.loops.closed_form([known]).signs
+    start = system.mid
+    closed = 0
+    for branch in rng.choice(["+", "-"], (3, signs)).tolist():
+        answer = designs.assemble({known: values}, branch="".join(branch), start=start)
+        for i in range(12):
+            one = (
+                designs[i]
+                .loops.closed_form([known])
+                .close(values[i, :, None], "".join(branch), start)
+            )
+            np.testing.assert_array_equal(answer.success[i], one.success)
+            np.testing.assert_allclose(answer.gap[i], one.gap, atol=1e-12)
+            np.testing.assert_allclose(
+                answer.q[i][one.success], one.q[one.success], rtol=0, atol=1e-9
+            )
+            closed += int(np.count_nonzero(one.success))
+    assert closed > 20
+
+
+def test_values_are_for_all_designs_or_for_each():
+    bar = kempe.load("four_bar")
+    designs = bar.with_parameters(b=np.linspace(0.45, 0.55, 4))
+    A = np.linspace(0.0, 1.0, 4)
+    each = designs.assemble({"A": A})
+    every = designs.assemble({"A": A[None]})
+    assert each.q.shape == (4, 4) and every.q.shape == (4, 4, 4)
+    np.testing.assert_array_equal(every.q[range(4), range(4)], each.q)
+    np.testing.assert_array_equal(designs.assemble({"A": 0.0}).q, every.q[:, 0])
+    assert every.success.all() and every.status == "16 of 16 configurations closed" and bool(every)
+    closed = bar.q("closed")
+    np.testing.assert_array_equal(  # the branch of the posture 'closed'
+        designs.assemble({"A": closed[0]}).q,
+        designs.assemble({"A": closed[0]}, start=closed).q,
+    )
+    with pytest.raises(InputError, match=r"'A' has shape \(3,\); known values must be one number"):
+        designs.assemble({"A": A[:3]})
+    with pytest.raises(UnknownNameError, match="'Aa'"):
+        designs.assemble({"Aa": 0.0})
+    with pytest.raises(InputError, match="one for each dyad"):
+        designs.assemble({"A": 0.0}, branch="++")
+    none = bar.with_parameters(b=np.zeros(0)).assemble({"A": np.zeros((1, 5))})
+    assert none.q.shape == (0, 5, 4)
+
+
+def test_what_does_not_close_is_said_and_leaves_the_others_alone():
+    bar = kempe.load("four_bar")
+    designs = bar.with_parameters(b=[0.5, 3.0, 0.5])
+    answer = designs.assemble({"A": [0.1, 0.1, np.nan]})
+    assert answer.success.tolist() == [True, False, False]
+    assert [Status(c).name for c in answer.code] == ["SOLVED", "NOT_FOUND", "BAD_INPUT"]
+    assert "1 of 3 configurations closed; the others are open by up to 2." in answer.status
+    stewart = kempe.load("stewart")
+    with pytest.raises(UnsupportedError, match="'stewart' is not planar"):
+        stewart.with_parameters(
+            **{k: [x, x] for k, x in list(stewart.structure.parameters.items())[:1]}
+        ).assemble({})
+
+
+def test_pins_that_part_in_some_designs_are_refused():
+    """Three bars on one pin are two dyads, one after the other; on two pins they are none."""
+    m = kempe.Mechanism("hinge", dim=2)
+    m.parameter("apart", 0.0)
+    crank, first, middle, last, block = (
+        m.body(n) for n in ("crank", "first", "middle", "last", "block")
+    )
+    m.revolute("A", m.ground, crank)
+    m.revolute("B", crank, first, at=(0.2, 0))
+    m.revolute("H1", first, middle, at=(0.6, 0))
+    m.revolute("H2", middle, last, at=("apart", 0))
+    m.revolute("G", last, m.ground, at=(0.5, 0), child_at=(0.6, 0))
+    m.revolute("S", middle, block, at=(0.9, 0))
+    m.prismatic("T", m.ground, block, axis="x")
+    system = m.build()
+    assert system.with_parameters(apart=[0.0, 0.0]).assemble({"A": 0.5}).success.all()
+    with pytest.raises(UnsupportedError, match="pins coincide, or rails are parallel, in some"):
+        system.with_parameters(apart=[0.0, 0.1]).assemble({"A": 0.5})

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -46,7 +46,10 @@ SAME = 1e-12
 """Points nearer than this share of the mechanism's size are one, and directions nearer than this
 are parallel."""
 
-Pose = tuple[float, float, float, float]
+Number = Any
+"""A number, or one of each design (n,): designs differ in their lengths and angles, and share one
+decomposition, as they share bodies and joints."""
+Pose = tuple[Number, Number, Number, Number]
 """A pose in the plane: cosine and sine of the orientation, origin."""
 
 
@@ -55,18 +58,18 @@ class PartLine:
     """A point (x, y) and a direction (dx, dy) on a part."""
 
     part: int
-    x: float
-    y: float
-    dx: float = 1.0
-    dy: float = 0.0
+    x: Number
+    y: Number
+    dx: Number = 1.0
+    dy: Number = 0.0
 
     @property
-    def numbers(self) -> tuple[float, float]:
+    def numbers(self) -> tuple[Number, Number]:
         """Coordinates (x, y) of the point, as operands of a program."""
         return self.x, self.y
 
     @property
-    def rail(self) -> tuple[float, float, float, float]:
+    def rail(self) -> Pose:
         """Coordinates of point and direction (x, y, dx, dy), as operands of a program."""
         return self.x, self.y, self.dx, self.dy
 
@@ -119,8 +122,8 @@ class Parts:
     reps: tuple[int, ...] = ()
     links: tuple[Link, ...] = ()
     hinges: tuple[tuple[tuple[str, ...], tuple[PartLine, ...]], ...] = ()
-    size: float = 1.0
-    misfit: float = 0.0
+    size: Number = 1.0
+    misfit: Number = 0.0
     trouble: str = ""
 
 
@@ -174,15 +177,15 @@ def turn_pose(a: Pose, angle: float) -> Pose:
 
 def _flatten_pose(X: Array) -> Pose:
     """Return a pose (4, 4) that lies in the plane as a planar pose."""
-    return float(X[0, 0]), float(X[1, 0]), float(X[0, 3]), float(X[1, 3])
+    return X[..., 0, 0], X[..., 1, 0], X[..., 0, 3], X[..., 1, 3]
 
 
 def _make_rail_pose(X: Array, axis: int = 2) -> Pose:
     """Return the planar pose whose x axis is the given axis (default z) of X (4, 4)."""
-    dx = float(X[0, axis])
-    dy = float(X[1, axis])
-    n = math.hypot(dx, dy)
-    return dx / n, dy / n, float(X[0, 3]), float(X[1, 3])
+    dx = X[..., 0, axis]
+    dy = X[..., 1, axis]
+    n = np.hypot(dx, dy)
+    return dx / n, dy / n, X[..., 0, 3], X[..., 1, 3]
 
 
 def _is_point_on_line(constraint: Declared) -> bool:
@@ -196,8 +199,8 @@ def find_single_motion(joint: Joint) -> Primitive | None:
     return primitives[0] if len(primitives) == 1 and primitives[0].multiplier == 1.0 else None
 
 
-def build_parts(system: Model) -> Parts:
-    """Build the graph of a planar system: its parts, links and hinges."""
+def build_parts(system: Model, parameters: Mapping[str, Number]) -> Parts:
+    """Build the graph of a planar system, for values of its parameters: parts, links and hinges."""
     mechanism = system.mechanism
     if system.dim != 2:
         return Parts(trouble=f"{system.name!r} is not planar")
@@ -220,27 +223,28 @@ def build_parts(system: Model) -> Parts:
         ]
         if all(f is not None and f.source is None for f in followers):
             values = np.array([f.offset for f in followers if f is not None])
-            X_PF, X_CM = (X.evaluate_pose(mechanism.parameters) for X in (joint.X_PF, joint.X_CM))
+            X_PF, X_CM = (X.evaluate_pose(parameters) for X in (joint.X_PF, joint.X_CM))
             X_PC = X_PF @ compute_joint_pose(joint.type, values, 2) @ np.linalg.inv(X_CM)
             held[name] = joint.parent, joint.child, _flatten_pose(X_PC)
         elif find_single_motion(joint) is not None:
             moving.append(joint)
         else:
             return Parts(trouble=f"joint {name!r} is of type {joint.type.type_name}")
-    return _connect_parts(system, held, moving)
+    return _connect_parts(system, held, moving, parameters)
 
 
 def _connect_parts(
-    system: Model, held: dict[str, tuple[str, str, Pose]], moving: list[Joint]
+    system: Model,
+    held: dict[str, tuple[str, str, Pose]],
+    moving: list[Joint],
+    parameters: Mapping[str, Number],
 ) -> Parts:
     """Build the graph from fixed joints `held` and moving joints."""
     order = [system.body_names[0], *sorted(system.body_names[1:], key=make_sort_key)]
     at, groups, misfit = _merge_fixed_bodies(order, held)
     number = {b: i for i, b in enumerate(system.body_names)}
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
-    # a copy: it takes long
-    parameters = system.structure.parameters
-    mechanism = system.mechanism
+    mechanism = system.mechanism  # a copy: it takes long
     links: list[Link] = []
     for joint in moving:
         (a, X_A) = at[joint.parent]
@@ -268,7 +272,7 @@ def _connect_parts(
         )
     constraints = mechanism.constraints
     for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=make_sort_key):
-        links += _make_constraint_links(system, name, len(groups), at)
+        links += _make_constraint_links(constraints[name], len(groups), at, parameters)
         groups.append([name])
     size = _measure_parts(links)
     hinges = _group_hinges([k for k in links if k.kind == R], links, SAME * size)
@@ -277,11 +281,13 @@ def _connect_parts(
 
 
 def _make_constraint_links(
-    system: Model, name: str, part: int, at: dict[str, tuple[int, Pose]]
+    constraint: Declared,
+    part: int,
+    at: dict[str, tuple[int, Pose]],
+    parameters: Mapping[str, Number],
 ) -> list[Link]:
     """Return the two links of a distance or point-on-line constraint, which is a part itself."""
-    constraint = system._mechanism.constraints[name]
-    parameters = system.structure.parameters
+    name = constraint.name
     (a, X_A) = at[constraint.parent]
     (b, X_B) = at[constraint.child]
     X_PF, X_CM = constraint.frames(parameters, 2)
@@ -303,7 +309,7 @@ def _make_constraint_links(
 
 def _merge_fixed_bodies(
     order: list[str], held: dict[str, tuple[str, str, Pose]]
-) -> tuple[dict[str, tuple[int, Pose]], list[list[str]], float]:
+) -> tuple[dict[str, tuple[int, Pose]], list[list[str]], Number]:
     """Merge bodies that fixed joints connect into parts.
 
     Returns part and pose of each body, the bodies of each part, and the largest misfit of a loop of
@@ -315,7 +321,7 @@ def _merge_fixed_bodies(
         ways[child].append((parent, invert_pose(X)))
     at: dict[str, tuple[int, Pose]] = {}
     groups: list[list[str]] = []
-    misfit = 0.0
+    misfit: Number = 0.0
     for start in order:
         if start in at:
             continue
@@ -327,27 +333,39 @@ def _merge_fixed_bodies(
                 if there not in at:
                     at[there] = len(groups) - 1, pose
                     groups[-1].append(there)
-                misfit = max(
-                    misfit, max(abs(u - w) for u, w in zip(pose, at[there][1], strict=True))
-                )
+                for u, w in zip(pose, at[there][1], strict=True):
+                    misfit = np.maximum(misfit, abs(u - w))
     return at, groups, misfit
 
 
-def _measure_parts(links: list[Link]) -> float:
+def _measure_parts(links: list[Link]) -> Number:
     """Return the largest distance of two joints on one part; 1 where there is none."""
-    points: dict[int, list[tuple[float, float]]] = {}
+    points: dict[int, list[tuple[Number, Number]]] = {}
     for k in links:
         points.setdefault(k.a, []).append(k.F[2:])
         points.setdefault(k.b, []).append(k.M[2:])
-    spans = [math.hypot(*np.ptp(np.array(p), axis=0)) for p in points.values()]
-    return max(spans, default=0.0) or 1.0
+    size: Number = 0.0
+    for ends in points.values():
+        spans = (np.ptp(np.stack(np.broadcast_arrays(*x)), axis=0) for x in zip(*ends, strict=True))
+        size = np.maximum(size, np.hypot(*spans))
+    return np.where(size > 0.0, size, 1.0)[()]
+
+
+def _coincide(p: tuple[Number, Number], q: tuple[Number, Number], same: Number) -> bool:
+    """Return whether two points of a part are one, in all designs."""
+    return not np.any(np.hypot(p[0] - q[0], p[1] - q[1]) > same)
+
+
+def _take_first(x: Number) -> float:
+    """Return a number, or that of the first design."""
+    return float(np.ravel(x)[0])
 
 
 def _group_hinges(
-    pins: list[Link], links: list[Link], same: float
+    pins: list[Link], links: list[Link], same: Number
 ) -> tuple[tuple[tuple[str, ...], tuple[PartLine, ...]], ...]:
     """Group the revolute joints that share a point of a part with several points."""
-    points: dict[int, list[tuple[int, tuple[float, float]]]] = {}
+    points: dict[int, list[tuple[int, tuple[Number, Number]]]] = {}
     for i, k in enumerate(pins):
         points.setdefault(k.a, []).append((i, k.F[2:]))
         points.setdefault(k.b, []).append((i, k.M[2:]))
@@ -361,15 +379,15 @@ def _group_hinges(
         return i
 
     for part, ends in points.items():
-        if part not in slides and all(math.dist(p, ends[0][1]) <= same for _, p in ends):
+        if part not in slides and all(_coincide(p, ends[0][1], same) for _, p in ends):
             # a link without length: to merge its ends would leave its orientation to nothing
             continue
-        ends.sort(key=lambda e: e[1])
+        ends.sort(key=lambda e: _take_first(e[1][0]))
         for n, (i, p) in enumerate(ends):
             for j, q in ends[n + 1 :]:
-                if q[0] - p[0] > same:
+                if _take_first(q[0] - p[0] - same) > 0.0:
                     break
-                if math.dist(p, q) <= same:
+                if _coincide(p, q, same):
                     root[max(find_root(i), find_root(j))] = min(find_root(i), find_root(j))
     groups: dict[int, list[int]] = {}
     for i in range(len(pins)):
@@ -395,7 +413,7 @@ class Code:
         self.nq = nq
         self.n_parts = n_parts
         self.signs = 0
-        self.ops: list[tuple[list[int], list[float]]] = []
+        self.ops: list[tuple[list[int], list[Number]]] = []
 
     def get_register(self, part: int) -> int:
         """Return the address of a part's pose.
@@ -419,7 +437,7 @@ class Code:
 
     def append_operation(self, code: int, ints: list[int], floats: object = ()) -> None:
         """Append an operation: its number in `dyads_layout` with integer and float operands."""
-        self.ops.append(([code, *ints], [float(x) for x in floats]))  # type: ignore[attr-defined]
+        self.ops.append(([code, *ints], list(floats)))  # type: ignore[call-overload]
 
     def append_pin_operation(
         self, code: int, ends: list[PartLine], more: list[int], rails: int = 0
@@ -429,19 +447,21 @@ class Code:
         self.append_operation(code, [*(self.get_register(e.part) for e in ends), *more], floats)
 
     def pack_arrays(self, known: list[int]) -> tuple[np.ndarray, Array]:
-        """Pack the program into the integer and float arrays that the kernel reads."""
+        """Pack the program into the integers that the kernel reads, and floats (k,) or (n, k)."""
         n = len(self.ops)
         spare = self.get_target(self.nq) + self.signs
         head = [n, spare + 1, self.registers, self.nq, len(known), self.signs]
         head += [self.get_coordinate(0), self.get_target(0), self.get_target(self.nq)]
         ints = np.zeros(K.HEADER + len(known) + K.OP_INTS * n, dtype=np.int64)
-        floats = np.zeros(K.OP_FLOATS * n)
+        lead = np.broadcast_shapes(*(np.shape(x) for _, numbers in self.ops for x in numbers))
+        floats = np.zeros((*lead, K.OP_FLOATS * n))
         ints[: len(head)] = head
         ints[K.HEADER : K.HEADER + len(known)] = known
         for k, (i, f) in enumerate(self.ops):
             at = K.HEADER + len(known) + K.OP_INTS * k
             ints[at : at + len(i)] = i
-            floats[K.OP_FLOATS * k : K.OP_FLOATS * k + len(f)] = f
+            for j, x in enumerate(f):
+                floats[..., K.OP_FLOATS * k + j] = x
         return ints, floats
 
 
@@ -509,7 +529,7 @@ class Decomposition:
             layout.vector_q.tolist(), system.structure.limits[layout.vector_v].tolist(), strict=True
         )
         self.limits: dict[int, list[float]] = {NOWHERE: [-math.inf, math.inf], **dict(bounds)}
-        if parts.misfit > 0.0:
+        if np.any(parts.misfit > 0.0):
             self._append_check(parts.misfit, {})
         for part in range(n):
             self._read_closed_joints([part])
@@ -571,7 +591,7 @@ class Decomposition:
             return True
         return False
 
-    def _append_check(self, constant: float, terms: dict[int, float]) -> None:
+    def _append_check(self, constant: Number, terms: dict[int, float]) -> None:
         """Append a check to the program: a constant plus multiples of coordinates is zero."""
         self.code.append_operation(K.SET, [K.SPARE], [constant])
         for slot, m in terms.items():
@@ -955,5 +975,5 @@ def _move_pose(kind: int, pose: Pose, by: float) -> Pose:
 
 
 def _are_parallel(a: PartLine, b: PartLine) -> bool:
-    """Return whether two rails lie on one part and are parallel."""
-    return a.part == b.part and abs(a.dx * b.dy - a.dy * b.dx) <= SAME
+    """Return whether two rails lie on one part and are parallel, in all designs."""
+    return a.part == b.part and not np.any(abs(a.dx * b.dy - a.dy * b.dx) > SAME)

@@ -125,7 +125,9 @@ class _Writing:
             name: self._make_geometry(j) for name, j in plan.system.structure.joints.items()
         }
         self.hinges = {
-            name: names for names, _ in build_parts(plan.system).hinges for name in names
+            name: names
+            for names, _ in build_parts(plan.system, plan.system.structure.parameters).hinges
+            for name in names
         }
 
     def _make_geometry(self, joint: Joint) -> _Geometry:

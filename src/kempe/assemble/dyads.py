@@ -400,23 +400,31 @@ class Plan(Report):
     def _run_program(
         self, values: Array, signs: Array, targets: Array, threads: int | None = None
     ) -> tuple[Array, Array]:
-        """Run the kernel for known values (N, n_known).
+        """Run the kernel for known values (N, n_known); of n designs, N / n rows belong to each.
 
         Returns configurations (N, nq) and, of each, the opening, the number of undetermined parts
         and the margin (N, 3).
         """
         from kempe.kernels.compiled import dyads_program as dyads
 
-        ints, floats = self.program
+        ints = self.program[0]
+        floats = np.atleast_2d(self.program[1])
         q = np.empty((len(values), self.system.nq))
         status = np.empty((len(values), 3))
+        # what is cut into chunks: rows, or the designs with all their rows
+        each = max(len(values) // len(floats), 1) if len(floats) > 1 else 1
 
         def solve_chunk(i: int, j: int) -> int:
-            """Solve the rows i to j."""
-            s, t = (a if len(a) == 1 else a[i:j] for a in (signs, targets))
-            return dyads.run_program(ints, floats, values[i:j], s, t, q[i:j], status[i:j])
+            """Solve the rows, or the designs, i to j."""
+            rows = slice(i * each, j * each)
+            f, s, t = (
+                a if len(a) == 1 else a[part]
+                for a, part in ((floats, slice(i, j)), (signs, rows), (targets, rows))
+            )
+            return dyads.run_program(ints, f, values[rows], s, t, q[rows], status[rows])
 
-        sum_over_chunks(solve_chunk, len(values), CHUNK, threads, SERIAL_BELOW)
+        chunk = max(CHUNK // each, 1)
+        sum_over_chunks(solve_chunk, len(values) // each, chunk, threads, SERIAL_BELOW // each)
         return q, status
 
     def values(self, values: ArrayLike) -> tuple[Array, tuple[int, ...]]:
@@ -525,6 +533,16 @@ def solve_branch(
 @keep_answers
 def _decompose_system(system: Model, names: tuple[str, ...]) -> Plan | Incomplete:
     """Decompose a planar system into dyads, for known coordinates."""
+    return decompose_designs(system, names, system.structure.parameters)
+
+
+def decompose_designs(
+    system: Model, names: tuple[str, ...], parameters: Mapping[str, Any]
+) -> Plan | Incomplete:
+    """Decompose a planar system into dyads, for known coordinates and values of the parameters.
+
+    Of designs, with arrays (n,) of values, the `program` has floats (n, k) and a `tolerance` (n,).
+    """
     slots = {c: i for i, c in enumerate(system.coordinate_names)}
     for name in names:
         if name in slots:
@@ -538,7 +556,7 @@ def _decompose_system(system: Model, names: tuple[str, ...]) -> Plan | Incomplet
             else f"it is held at {follower.offset:g}"
         )
         raise InputError(f"coordinate {name!r} is not part of q: {follows}")
-    parts = build_parts(system)
+    parts = build_parts(system, parameters)
     if parts.trouble:
         return Incomplete(f"no closed form: {parts.trouble}")
     search = Decomposition(system, parts, [slots[n] for n in names])

@@ -531,12 +531,15 @@ def reset_registers(v, ints):
         store_pose(v, K.REGISTERS + 4 * k, (one, zero, zero, zero))
 
 
-@kernel(I("_"), F("_"), F("N", "_"), F("1|N", "_"), F("1|N", "nq"), OUT("N", "nq"), OUT("N", 3))
+@kernel(
+    I("_"), F("_", "_"), F("N", "_"), F("1|N", "_"), F("1|N", "nq"), OUT("N", "nq"), OUT("N", 3)
+)
 def run_program(ints, floats, values, signs, near, q, status):
     """Run the program of dyads for known values (N, n_known) and branch signs (N or 1, n_signs);
     return the number of rows.
 
-    Writes configurations q (N, nq), angles nearest to `near` (N or 1, nq), and of each row in
+    `floats` (n, k) has a row for each design; the same number N / n of rows belongs to each, one
+    after the other. Writes configurations q (N, nq), angles nearest to `near` (N or 1, nq), and of each row in
     `status` (N, 3): the norm of all openings in metres, how many dyads were undetermined, and the
     least margin of a dyad, which is 0 where two of its branches meet and at most 1. A block that is
     not full repeats its last.
@@ -553,9 +556,15 @@ def run_program(ints, floats, values, signs, near, q, status):
     coordinates = ints[K.COORDINATES]
     targets = ints[K.TARGETS]
     first_sign = ints[K.SIGNS]
-    for start in range(0, n, LANES):
+    designs = floats.shape[0]
+    rows = n // designs if designs else 0
+    blocks = (rows + LANES - 1) // LANES
+    for block in range(blocks * designs):
+        design = block // blocks
+        end = rows * (design + 1)
+        start = rows * design + LANES * (block - blocks * design)
         for lane in range(LANES):
-            row = min(start + lane, n - 1)
+            row = min(start + lane, end - 1)
             for k in range(nq):
                 scratch[LANES * (coordinates + k) + lane] = math.nan
                 scratch[LANES * (targets + k) + lane] = near[row * each_near, k]
@@ -566,13 +575,13 @@ def run_program(ints, floats, values, signs, near, q, status):
         reset_registers(v, i_)
         for op in range(ints[K.N_OPS]):
             i = K.HEADER + known + K.OP_INTS * op
-            f = K.OP_FLOATS * op
+            f = K.OP_FLOATS * op + floats.shape[1] * design
             code = i_[i]
             if code < K.CIRCLES:
                 run_motion_operation(code, v, i_, i, f_, f)
             else:
                 run_closing_operation(code, v, i_, i, f_, f)
-        for lane in range(min(LANES, n - start)):
+        for lane in range(min(LANES, end - start)):
             for k in range(nq):
                 q[start + lane, k] = scratch[LANES * (coordinates + k) + lane]
             status[start + lane, 0] = math.sqrt(scratch[LANES * K.GAP + lane])
