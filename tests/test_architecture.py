@@ -41,6 +41,7 @@ equations
 answers
 first_order
 assemble
+designs
 geometry
 inverse: chain | closed_forms | answer all_answer | tasks | *
 mobility
@@ -48,7 +49,7 @@ motion
 spaces
 workspace
 views: plot_options | drawing | * | viewer
-solvers tasks convert namespaces designs
+solvers tasks convert namespaces
 system
 __init__
 cli __main__

@@ -15,11 +15,11 @@ import numpy as np
 
 from kempe.assemble.assemble import assemble
 from kempe.budget import Budget
+from kempe.designs import with_parameters
 from kempe.equations.closure_rows import evaluate_constraints
 from kempe.equations.judge import judge_configurations
 from kempe.errors import InputError, KempeError
 from kempe.forward.fk import fk, jacobian
-from kempe.forward.parameter_batches import with_parameters
 from kempe.mobility.independent import Chart, independent
 from kempe.model.configurations import (
     compute_distance,
