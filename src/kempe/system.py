@@ -1245,7 +1245,8 @@ class System(Model, Pictured):
 
         Loops and relations of several coordinates stay closed, in the velocities and in the
         resulting configuration. Velocity constraints hold to second order, and one-sided
-        constraints as limits do.
+        constraints as limits do. With a `Clearance` among the tasks no step leads nearer than asked,
+        or nearer than before where that was too near: distances are measured after the step.
         """
         if frame.__class__ is str and weights is None:
             bound = self._kept["ik_step"].get(frame)

@@ -251,7 +251,6 @@ def test_bad_bodies():
     "call",
     [
         lambda s, c: s.ik_path([c, Position("tip", [(0.6, 0.2), (0.5, 0.2)])]),
-        lambda s, c: s.ik_step(s.mid, c, dt=0.01),
         lambda s, c: s.assemble(also=[c]),
         lambda s, c: s.mechanism.constrain(c),
         lambda s, c: kempe.tasks.error(s, c, s.mid),
@@ -314,3 +313,64 @@ def test_the_command_line_keeps_clear(tmp_path, monkeypatch):
     assert found.code == 1 and "2 are left out that come too near" in found.out
     Path("t.toml").write_text('[[task]]\ntype = "clearance"\na = "nobody"\nat_least = 0.02\n')
     assert "nobody" in Result(*call, "--tasks", "t.toml").err
+
+
+# ---- steps
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_steps_are_never_nearer_than_asked_and_come_to_rest(dim):
+    stopped = moved = 0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        s = planar_arm(rng, dim=dim)
+        q = s.random(rng, 400)
+        q = q[distance(s, q) >= AT_LEAST + 1e-3][0]
+        target = (*rng.uniform(-0.8, 0.8, 2), 0.0)[:dim]
+        wanted = [Position("tip", target), Clearance("self", at_least=AT_LEAST)]
+        for _ in range(150):
+            step = s.ik_step(q, wanted, dt=0.01)
+            moved += bool(np.linalg.norm(step.q - q) > 1e-3)
+            q = step.q
+            assert distance(s, q) >= AT_LEAST - 1e-6
+        away = np.linalg.norm(s.fk(q, "tip")[:2, 3] - target[:2])
+        if away > 1e-3 and not step.saturated and np.abs(step.velocity).max() < 1e-3:
+            stopped += 1
+            assert step.held_apart and "kept apart: '" in step.status
+            assert distance(s, q) < AT_LEAST + 1e-3
+    assert stopped and moved
+
+
+def test_two_spheres_that_are_pushed_together_stop_at_the_distance():
+    m = kempe.Mechanism("sliders")
+    for name, x in (("left", -0.5), ("right", 0.5)):
+        m.prismatic(name[0], m.ground, m.body(name), at=(x, 0, 0), axis="x")
+        m.shape(name, "sphere", radius=0.1)
+    s = m.build()
+    q = s.neutral
+    wanted = [
+        Position("left", (0.2, 0, 0), weight=1.0),
+        Position("right", (-0.2, 0, 0), weight=1.0),
+        Clearance("left", "right", at_least=0.05),
+    ]
+    for _ in range(200):
+        q = s.ik_step(q, wanted, dt=0.005).q
+        assert 1.0 - q[0] + q[1] - 0.2 >= 0.05
+    assert 1.0 - q[0] + q[1] - 0.2 < 0.051
+
+
+def test_steps_lead_out_of_a_collision():
+    """Where it stands between two discs that are too near, it may stay there."""
+    s = planar_arm(np.random.default_rng(3))
+    q = s.random(np.random.default_rng(0), 100)
+    d = distance(s, q)
+    begun = q[(d < 0.0) & (d > -0.04)][:6]
+    out = 0
+    for x in begun:
+        for _ in range(60):
+            before = distance(s, x)
+            x = s.ik_step(x, Clearance(at_least=AT_LEAST), dt=0.01).q
+            assert distance(s, x) >= min(before, AT_LEAST) - 1e-6
+        assert distance(s, x) > 0.0
+        out += bool(distance(s, x) >= AT_LEAST - 1e-6)
+    assert out >= len(begun) / 2

@@ -15,6 +15,7 @@ from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk, jacobian
 from kempe.geometry.solids import Gap, Placed, Solids, get_solids
 from kempe.model.configurations import read_q
+from kempe.model.model import store_answer
 from kempe.report import Report, Table
 from kempe.spatial import Array
 from kempe.words import Quantity
@@ -22,6 +23,8 @@ from kempe.words import Quantity
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
+KEPT = 64
+"""Sets of clearances whose pairs a system keeps."""
 NEAREST = 10
 """Pairs that a text lists."""
 
@@ -169,6 +172,16 @@ def watch_clearances(system: Model, clearances: Sequence[Apart]) -> Watch:
 
     Errors: `UnknownNameError`, `InputError` where a body has no shape, or no pair is left.
     """
+    kept = system._kept.setdefault(watch_clearances, {})
+    key = tuple((c.sides, c.at_least) for c in clearances)
+    found = kept.get(key)
+    return (
+        store_answer(kept, key, _make_watch(system, clearances), KEPT) if found is None else found
+    )
+
+
+def _make_watch(system: Model, clearances: Sequence[Apart]) -> Watch:
+    """Find the pairs of solids that clearances keep apart."""
     solids = get_solids(system)
     rows: list[tuple[tuple[int, int], float, int]] = []
     for k, clearance in enumerate(clearances):

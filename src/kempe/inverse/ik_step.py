@@ -11,7 +11,8 @@ import numpy as np
 
 from kempe.answers.answer import Answer
 from kempe.arguments import explain_errors, explain_method_errors
-from kempe.arrays import read_reals
+from kempe.arrays import is_sequence, read_reals
+from kempe.constraints.clearances import Apart
 from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.packed_tasks import Packed, find_leading_shape, refuse_goal
 from kempe.equations.slip import has_velocity_constraints
@@ -89,9 +90,11 @@ class IkStep(Answer):
         one.
     blocked_by
         Names of the velocity constraints that prevent the rest of the motion.
+    held_apart
+        Pairs of bodies that are as near as clearances allow, by name.
     """
 
-    also = ("velocity", "twist", "fraction", "saturated", "blocked_by")
+    also = ("velocity", "twist", "fraction", "saturated", "blocked_by", "held_apart")
 
     q: Array
     velocity: Array
@@ -101,6 +104,7 @@ class IkStep(Answer):
     system: Model
     default_speed: tuple[str, ...] = ()
     blocked_by: tuple[str, ...] = ()
+    held_apart: tuple[tuple[str, str], ...] = ()
 
     success = by_code
 
@@ -121,6 +125,9 @@ class IkStep(Answer):
         why = [declared[name].of.prevents.format(name=name) for name in self.blocked_by]
         if limited := [name for name in self.saturated if name not in self.default_speed]:
             why.append(f"at a limit: {', '.join(map(repr, limited))}")
+        if self.held_apart and not self.success:
+            said = ", ".join(f"{a!r} and {b!r}" for a, b in self.held_apart)
+            why.append(f"kept apart: {said}")
         if default:
             why.append(
                 f"at the default speed (pi rad/s, {SLIDING:.3g} m/s): "
@@ -450,6 +457,17 @@ def _make_task_step(
 
     The kernel gives no step for goals that are none; the general way says why.
     """
+    given = list(wanted) if is_sequence(wanted) else [wanted]
+    if any(isinstance(t, Apart) for t in given):
+        from kempe.inverse.clear_step import make_clear_step
+
+        return make_clear_step(
+            system,
+            q,
+            given,
+            dt,
+            lambda tasks: _make_task_step(system, q, tasks, dt, speed, default, damping),
+        )
     from kempe.inverse.tasks.search import make_distinct_tasks
 
     tasks = make_distinct_tasks(wanted, system)

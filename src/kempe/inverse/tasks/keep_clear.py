@@ -144,6 +144,7 @@ class ClearSearch:
         self.threads = threads
         self.system: Model = alone.system
         self.length = compute_characteristic_length(self.system)
+        self.priority = min((t.priority for t in alone.tasks), default=0)
 
     def finish(self, answer: Reached, labels: list[str]) -> Reached:
         """Lead an answer for the tasks alone away from what is too near."""
@@ -188,7 +189,8 @@ class ClearSearch:
                 return True
             rows = rows[open_]
             at = _select_state(at, open_)
-            at = self._solve(rows, at.q, self._lay_planes(at), steps)
+            planes = lay_planes(self.system, self.watch, at.q, at.gaps, self.priority)
+            at = self._solve(rows, at.q, planes, steps)
             self._keep_best(best, rows, at)
         return False
 
@@ -217,51 +219,6 @@ class ClearSearch:
                     (self.watch.at_least[g.couple] - g.distance for g in found), default=-math.inf
                 )
         return State(q, held, gaps, np.maximum(short, -BAND * self.length))
-
-    def _lay_planes(self, at: State) -> tuple[Beyond, ...]:
-        """Lay a plane between each two near shapes, fixed to the body of the first."""
-        system = self.system
-        names = self.watch.solids.names
-        body = self.watch.solids.body_of[self.watch.couples]
-        X = fk(system, at.q, names).reshape(len(at.q), len(names), 4, 4)
-        slots: dict[tuple[str, str, int], list[tuple[int, Gap]]] = {}
-        for k, gaps in enumerate(at.gaps):
-            counts: dict[tuple[str, str], int] = {}
-            for gap in sorted(gaps, key=lambda g: g.distance):
-                pair = self.watch.name_bodies(gap.couple)
-                slot = counts[pair] = counts.get(pair, -1) + 1
-                slots.setdefault((*pair, slot), []).append((k, gap))
-        priority = min((t.priority for t in self.alone.tasks), default=0)
-        out: list[Beyond] = []
-        for number, (key, used) in enumerate(sorted(slots.items(), key=lambda item: item[0])):
-            rows = np.array([k for k, _ in used])
-            couples = [gap.couple for _, gap in used]
-            a, b = body[couples[0]]
-            height = self.watch.at_least[couples] + MARGIN * self.length
-            gaps = [gap for _, gap in used]
-            made = _make_planes(gaps, height, X[rows, a], X[rows, b], system.dim)
-            plane = self._make_empty_planes(len(at.q))
-            sound = np.isfinite(made).all(axis=(0, 2))
-            plane[:, rows[sound]] = made[:, sound]
-            out.append(
-                Beyond(
-                    key[1],
-                    key[0],
-                    plane[0],
-                    plane[1],
-                    *plane[2].T,
-                    name=f"plane {number + 1}",
-                    priority=priority,
-                    tolerance=1e-6 * self.length,
-                )
-            )
-        return tuple(out)
-
-    def _make_empty_planes(self, n: int) -> Array:
-        """Make origins, normals and points (3, n, 3) of planes far below, which say nothing."""
-        normal = SLANTED[3 - self.system.dim]
-        one = np.array([-DEEP * self.length * normal, normal, 0.1 * self.length * normal])
-        return np.repeat(one[:, None], n, axis=1)
 
     def _solve(
         self, rows: np.ndarray, q: Array, planes: tuple[Beyond, ...], steps: np.ndarray
@@ -318,6 +275,52 @@ class ClearSearch:
             errors=errors,
             closest=Closest.from_rows([self.watch.find_worst(gaps) for gaps in best.gaps]),
         )
+
+
+def lay_planes(
+    system: Model, watch: Watch, q: Array, gaps: list[list[Gap]], priority: int
+) -> tuple[Beyond, ...]:
+    """Lay a plane between each two near shapes at q (k, nq), fixed to the body of the first.
+
+    Where only some of the configurations have a gap between two bodies, the plane of the others
+    lies far below.
+    """
+    length = compute_characteristic_length(system)
+    body = watch.solids.body_of[watch.couples]
+    X = fk(system, q, watch.solids.names).reshape(len(q), len(watch.solids.names), 4, 4)
+    slots: dict[tuple[str, str, int], list[tuple[int, Gap]]] = {}
+    for k, near in enumerate(gaps):
+        counts: dict[tuple[str, str], int] = {}
+        for gap in sorted(near, key=lambda g: g.distance):
+            pair = watch.name_bodies(gap.couple)
+            slot = counts[pair] = counts.get(pair, -1) + 1
+            slots.setdefault((*pair, slot), []).append((k, gap))
+    slanted = SLANTED[3 - system.dim]
+    nothing = np.array([-DEEP * length * slanted, slanted, 0.1 * length * slanted])
+    out: list[Beyond] = []
+    for number, (key, used) in enumerate(sorted(slots.items(), key=lambda item: item[0])):
+        rows = np.array([k for k, _ in used])
+        own = [gap for _, gap in used]
+        couples = [gap.couple for gap in own]
+        a, b = body[couples[0]]
+        height = watch.at_least[couples] + MARGIN * length
+        made = _make_planes(own, height, X[rows, a], X[rows, b], system.dim)
+        sound = np.isfinite(made).all(axis=(0, 2))
+        plane = np.repeat(nothing[:, None], len(q), axis=1)
+        plane[:, rows[sound]] = made[:, sound]
+        out.append(
+            Beyond(
+                key[1],
+                key[0],
+                plane[0],
+                plane[1],
+                *plane[2].T,
+                name=f"plane {number + 1}",
+                priority=priority,
+                tolerance=1e-6 * length,
+            )
+        )
+    return tuple(out)
 
 
 def _make_planes(gaps: Sequence[Gap], height: Array, A: Array, B: Array, dim: int) -> Array:
