@@ -250,7 +250,7 @@ class Designs(Generic[SystemType]):
         """
         ordinary = find_closed_form(self.system, known)
         if isinstance(ordinary, Incomplete):
-            raise UnsupportedError(f"designs are assembled in closed form: {ordinary.reason}")
+            raise UnsupportedError(f"{ordinary.reason}; designs are assembled in closed form only")
         numbers = {
             k: x.reshape(-1) if isinstance(x, np.ndarray) else x for k, x in self.parameters.items()
         }

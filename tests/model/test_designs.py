@@ -184,6 +184,47 @@ def test_designs_close_as_each_of_them_alone(name, known):
     assert closed > 20
 
 
+def make_rod() -> System:
+    """Crank and rocker with a rod between them that is a distance."""
+    m = Mechanism("rod", dim=2)
+    for name, x in {"a": 0.1, "l": 0.5, "c": 0.4, "d": 0.4, "t": 0.3, "off": 0.05}.items():
+        m.parameter(name, x)
+    m.revolute("A", m.ground, m.body("crank"))
+    m.revolute("D", m.ground, m.body("rocker"), at=("d", 0), angle="t")
+    m.distance("rod", "crank", "rocker", "l", at=("a", 0), child_at=("c", "off"))
+    return m.build()
+
+
+def make_slot() -> System:
+    """A pin of a crank in a slot of a lever, which a gear turns on."""
+    m = Mechanism("slot", dim=2)
+    for name, x in {"a": 0.1, "g": 0.3, "h": 0.02, "t": 0.3}.items():
+        m.parameter(name, x)
+    m.revolute("A", m.ground, m.body("crank"))
+    m.revolute("W", m.ground, m.body("wheel"))
+    m.couple("W", {"A": -2.0})
+    m.revolute("D", m.ground, m.body("lever"), at=("g", 0), angle="t")
+    m.point_on_line("slot", "lever", "wheel", at=(0, "h"), axis=(1, 0), child_at=("a", 0))
+    return m.build()
+
+
+@pytest.mark.parametrize("make", [make_rod, make_slot])
+def test_rods_slots_and_gears(make):
+    """As each design alone, on both branches."""
+    system = make()
+    rng = np.random.default_rng(3)
+    numbers = {k: x * rng.uniform(0.9, 1.1, 30) for k, x in system.structure.parameters.items()}
+    designs = system.with_parameters(**numbers)
+    A = rng.uniform(-3.0, 3.0, (30, 6))
+    for branch in "+-":
+        answer = designs.assemble({"A": A}, branch=branch)
+        for i in range(30):
+            one = designs[i].loops.closed_form(["A"]).close(A[i, :, None], branch)
+            np.testing.assert_array_equal(answer.success[i], one.success)
+            np.testing.assert_allclose(answer.q[i], one.q, rtol=0, atol=1e-9)
+        assert answer.success.sum() > 90
+
+
 def test_values_are_for_all_designs_or_for_each():
     bar = kempe.load("four_bar")
     designs = bar.with_parameters(b=np.linspace(0.45, 0.55, 4))

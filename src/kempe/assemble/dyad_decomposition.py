@@ -294,7 +294,7 @@ def _make_constraint_links(
     here, there = (f"{name} ({body})" for body in (constraint.parent, constraint.child))
     start = (1.0, 0.0, 0.0, 0.0)
     end = multiply_poses(X_B, _flatten_pose(X_CM))
-    length = 0.0
+    length: Number = 0.0
     if constraint.rod:
         first = Link(
             here, R, a, part, multiply_poses(X_A, _flatten_pose(X_PF)), start, NOWHERE, 1.0, 0.0

@@ -340,11 +340,11 @@ class Declared(InSentence):
         B = self.X_CM.evaluate_pose(parameters) @ np.reshape(made.make_tool_pose(dim), (4, 4))
         return self.X_PF.evaluate_pose(parameters) @ made.make_goal_poses(dim), B
 
-    def length(self, parameters: Mapping[str, float]) -> float:
-        """Return the length of a rod in metres."""
+    def length(self, parameters: Mapping[str, Any]) -> Any:
+        """Return the length of a rod in metres, or those of designs (n,)."""
         made = evaluate_number_fields(self.of, parameters)
         (row,) = made.list_rows(3)
-        return float(getattr(made, row.equal))
+        return getattr(made, row.equal)
 
     def equations(self, dim: int) -> int:
         """Return the number of equations f(q) = 0 for dimension `dim` (2 or 3)."""
