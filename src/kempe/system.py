@@ -188,6 +188,7 @@ class Pictured:
         labels: bool | str | Sequence[str] = False,
         seconds: float = 4.0,
         fps: float = 15.0,
+        size: int | None = None,
     ) -> FilePath:
         """Write a motion as an animation.
 
@@ -204,6 +205,8 @@ class Pictured:
             Labels in the picture, as in `plot`.
         seconds, fps
             Duration in seconds, and pictures for each second.
+        size
+            Pixels of the longer side of the picture (default: 100 an inch of the drawing).
 
         Returns
         -------
@@ -221,7 +224,9 @@ class Pictured:
         """
         from kempe.views.films import animate
 
-        return animate(self, path, file, frames=frames, labels=labels, seconds=seconds, fps=fps)
+        return animate(
+            self, path, file, frames=frames, labels=labels, seconds=seconds, fps=fps, size=size
+        )
 
     @explain_errors
     def show(

@@ -15,7 +15,8 @@ from kempe.errors import InputError, UnsupportedError
 
 pytest.importorskip("matplotlib")
 import matplotlib
-from matplotlib import animation
+from matplotlib import animation, axis
+from mpl_toolkits.mplot3d import axis3d
 from PIL import Image
 
 BAR = kempe.load("four_bar")
@@ -53,6 +54,26 @@ def test_a_gif_shows_the_motion_on_one_scale(tmp_path, turn):
     assert abs(found[0] - found[4]).max() > 100.0
 
 
+@pytest.mark.parametrize("name", ["four_bar", "puma560"])
+def test_axes_of_a_film_are_drawn_once(tmp_path, monkeypatch, name):
+    """Every picture has them, on white paper, and is as large as was asked for."""
+    drawn = []
+    kind = axis.Axis if name == "four_bar" else axis3d.Axis
+    draw = kind.draw
+    monkeypatch.setattr(kind, "draw", lambda self, *how: drawn.append(self) or draw(self, *how))
+    system = kempe.load(name)
+    q = system.trace("A").q if name == "four_bar" else np.stack([ARM.mid, ARM.mid + 1.0])
+    file = system.animate(
+        q, tmp_path / "film.gif", frames=[system.frame_names[-1]], seconds=0.5, fps=10, size=300
+    )
+    assert len({*map(id, drawn)}) == len(drawn) == (2 if name == "four_bar" else 3)
+    found = images(file)
+    assert len(found) == 5 and max(found[0].shape) == 300
+    still = np.all([x == found[0] for x in found], axis=0)
+    assert (found[0][still] < 200.0).sum() > 50 and found[0].max() == 255.0
+    assert not still.all()
+
+
 def test_a_page_with_a_player(tmp_path, turn):
     text = BAR.animate(turn, tmp_path / "turn.html", seconds=0.5, fps=6).read_text()
     assert text.count("data:image/png;base64") == 3 and "http://" not in text.replace(
@@ -75,6 +96,8 @@ def test_what_is_refused(tmp_path, turn, monkeypatch):
         turn.animate(tmp_path / "turn.avi")
     with pytest.raises(InputError, match="seconds is -1"):
         turn.animate(tmp_path / "turn.gif", seconds=-1.0)
+    with pytest.raises(InputError, match="size is 3; it must be a whole number of pixels"):
+        turn.animate(tmp_path / "turn.gif", size=3)
     with pytest.raises(InputError, match="must be from 2 to 600"):
         turn.animate(tmp_path / "turn.gif", seconds=1e3)
     monkeypatch.setattr(animation.writers, "is_available", lambda name: name != "ffmpeg")

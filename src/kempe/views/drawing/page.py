@@ -20,6 +20,8 @@ from kempe.views.drawing import labels, style
 from kempe.views.drawing.planar import Sheet
 from kempe.views.drawing.style import FAINT, FONT, INK, PAPER
 
+ALONG = "x [m]"
+"""Name of the horizontal axis."""
 WIDTH = (3.2, 7.0)
 HEIGHT = (2.4, 6.6)
 """Least and largest size of a drawing in inches."""
@@ -145,11 +147,11 @@ def finish_page(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> No
         place = sheet.obstacles.find_free_place(p, box, clearance + 2.0 * metres_a_point, outward)
         how: dict[str, Any] = {"size": FONT, **look}
         ax.text(place[0], place[1], text, ha="center", va="center", zorder=style.TEXT, **how)
-    if with_axes:
+    if with_axes and ax.get_xlabel() != ALONG:  # else they are drawn: a frame of a motion
         draw_light_axes(ax)
-        ax.set_xlabel("x [m]", size=FONT, color=INK)
+        ax.set_xlabel(ALONG, size=FONT, color=INK)
         ax.set_ylabel("y [m]", size=FONT, color=INK)
-    else:
+    elif not with_axes:
         ax.set_axis_off()
         _draw_scale_bar(sheet)
 

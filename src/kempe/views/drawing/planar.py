@@ -128,7 +128,7 @@ class Sheet:
     def add_outline(self, path: Path, gid: str, layer: float, **how: Any) -> None:
         """Draw an outline, filled and edged."""
         self.extent.append(np.asarray(path.vertices))
-        self.ax.add_patch(
+        self.ax.add_artist(  # without limits, which are set when all is drawn
             PathPatch(path, gid=gid, zorder=layer, **{"lw": 0.9, "joinstyle": "round", **how})
         )
 
@@ -457,6 +457,8 @@ def _choose_ground_direction(sheet: Sheet, p: Array) -> Array:
     """Choose the direction (2,) of the ground symbol at p (2,): down, unless a link lies there."""
     best = np.array([0.0, -1.0])
     least = np.inf
+    if sheet.steady:
+        return best
     for down, dislike in (
         ((0.0, -1.0), 0.0),
         ((0.0, 1.0), 0.35),
@@ -468,7 +470,7 @@ def _choose_ground_direction(sheet: Sheet, p: Array) -> Array:
         where = p + np.outer(np.linspace(1.5, style.GROUND_HEIGHT + style.HATCH, 6), d) * sheet.r
         where = where[:, None] + np.outer(np.linspace(-1.2, 1.2, 5), along) * sheet.r
         cost = float((sheet.obstacles.find_covering_weights(where) > 0.5).mean()) + dislike
-        if cost < least and not sheet.steady:
+        if cost < least:
             best = d
             least = cost
     return best

@@ -56,7 +56,8 @@ def draw_picture(
 
 def find_bounds(subjects: list[Subject]) -> tuple[Array, Array]:
     """Compute the lower left and upper right corner (2,) of several drawings together."""
-    corners = [compute_extent(s) for s in subjects]
+    trial = page.make_bare_figure().add_subplot()
+    corners = [compute_extent(s, trial) for s in subjects]
     return np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
 
 
@@ -70,16 +71,14 @@ def make_empty_axes(
     return page.make_axes(bounds[1] - bounds[0], bool(subject.curves), make=make)
 
 
-def compute_extent(subject: Subject) -> tuple[Array, Array]:
-    """Compute the lower left and upper right corner (2,) of a drawing."""
-    trial = Sheet(
-        page.make_bare_figure().add_subplot(),
-        subject.scene,
-        planar.choose_pin_radius(subject.scene),
-        subject.way,
-    )
-    draw_subject(trial, subject)
-    return page.compute_limits(trial)
+def compute_extent(subject: Subject, trial: Axes | None = None) -> tuple[Array, Array]:
+    """Compute the lower left and upper right corner (2,) of a drawing, which is tried on axes."""
+    ax = page.make_bare_figure().add_subplot() if trial is None else trial
+    steady = subject.radius is not None
+    radius = subject.radius or planar.choose_pin_radius(subject.scene)
+    sheet = Sheet(ax, subject.scene, radius, subject.way, steady=steady)
+    draw_subject(sheet, subject)
+    return page.compute_limits(sheet)
 
 
 def draw_subject(sheet: Sheet, subject: Subject) -> None:

@@ -284,6 +284,7 @@ def make_fans(count: int, n: int) -> np.ndarray:
     return fan + n * np.arange(count)[:, None, None]
 
 
+@cache
 def parse_colour(colour: str) -> tuple[float, float, float]:
     """Convert a colour '#rrggbb' to red, green and blue from 0 to 1."""
     red, green, blue = (int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
