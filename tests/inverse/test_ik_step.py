@@ -13,7 +13,8 @@ from scipy.optimize import linprog, lsq_linear
 from kempe import Mechanism, System, spatial
 from kempe.errors import InputError
 from kempe.inverse.ik_step import BoundStep
-from kempe.numerics.least_squares import SHIFT, minimize_bounded_residual, minimize_quadratic_in_box
+from kempe.kernels.servo.step_constants import SHIFT
+from kempe.numerics.least_squares import minimize_bounded_residual, minimize_quadratic_in_box
 
 HAND = "panda_link7"
 DT = 0.01

@@ -22,10 +22,31 @@ from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.slip import compute_unit_rows, find_shortest_velocity, has_velocity_constraints
 from kempe.equations.velocity import list_velocity_row_names
 from kempe.errors import InputError
-from kempe.numerics.least_squares import (
+from kempe.kernels.servo.step_constants import (
+    ASIDE,
+    BEYOND,
+    BLIND,
+    BUSY,
+    DIFFERENCE,
+    EDGE,
+    ENOUGH,
+    FLAT,
+    HALF,
+    LARGEST,
+    LEADS,
     LEAST,
+    LITTLE,
+    LITTLE_USE,
+    MUCH_USE,
     NEAR,
+    NOTHING,
+    SADDLE,
     SHIFT,
+    STILL,
+    TAKEN,
+    TRIALS,
+)
+from kempe.numerics.least_squares import (
     Bend,
     compute_feasible_fraction,
     minimize_bounded_residual,
@@ -49,47 +70,8 @@ CLOSED = 1e-12
 CORRECTIONS = 8
 HALVINGS = 12
 """Steps that close the loops again, and how often a step is halved after which that fails."""
-HALF = 0.5
-ENOUGH = 1e-13
-BUSY = 2.0
-"""Part of what is required that a step of first order may leave; what may be left in any case; and
-what earlier stages miss, as a multiple of the square of the step, to count as not arrived."""
-DIFFERENCE = 1e-5
-"""Step of the differences of Jacobians, in radians and characteristic lengths."""
-ROUNDING = 1e-14
-"""Length of what is missed that rounding makes."""
 PREVENTS = 1e-6
 """Part of what is missed that a velocity constraint takes, where it is named as the reason."""
-EPSILON = 1e-15
-"""Part of a coordinate by which it is at a limit."""
-BEYOND = 1e-12
-"""By how much a bound may seem to be exceeded: rounding."""
-
-LARGEST = 0.5
-ASIDE = 0.05
-"""Longest step of a coordinate where no speed bounds it, and where a singular configuration is
-left."""
-FLAT = 1e-10
-SADDLE = 1e-6
-"""Parts of the largest curvature: up to the first it counts as none, below minus the second as
-negative."""
-TAKEN = 0.1
-"""Part of the promised decrease that must be had."""
-STILL = 1e-20
-BLIND = 1e-13
-"""Promised decreases, as parts of the square of the error, below which one rests, or rounding hides
-the true one."""
-LITTLE = 0.01
-LEADS = 0.05
-"""Decreases of the error, as parts of what the joints move: up to the first no direction is kept,
-from the second on it alone counts; between them the straight step and the one towards the nearest
-pose are mixed."""
-LITTLE_USE = 0.1
-MUCH_USE = 0.5
-"""The same for the part of the speed, or of the rest of the way, that a straight step makes use
-of."""
-TRIALS = 16
-"""Steps tried in one cycle, each shorter than the one before."""
 
 
 class Stage(NamedTuple):
@@ -171,7 +153,7 @@ class ConstrainedSteps:
         at = self.at_v
         below = self.lower - x
         above = self.upper - x
-        near = EPSILON * np.maximum(1.0, np.abs(x))
+        near = EDGE * np.maximum(1.0, np.abs(x))
         below[np.abs(below) <= near] = 0.0
         above[np.abs(above) <= near] = 0.0
         low[at] = np.minimum(np.maximum(low[at], below / dt), speed[at])
@@ -383,7 +365,7 @@ class ConstrainedSteps:
                 u, promise = way
                 speeds = (low, high) if speeds is None else speeds
                 convex = None
-            if 0.0 <= promise <= STILL * before**2 + (ROUNDING / dt) ** 2:
+            if 0.0 <= promise <= STILL * before**2 + (NOTHING / dt) ** 2:
                 break
             if promise > 0.0 and (
                 promise <= BLIND * before**2

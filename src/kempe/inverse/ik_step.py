@@ -29,12 +29,12 @@ from kempe.kernels.forward.table_layout import (
     V_INDEX,
     get_row_integers,
 )
-from kempe.kernels.servo.servo_layout import ANSWER, FRACTION, SLOW
+from kempe.kernels.servo.servo_layout import ANSWER, FRACTION
+from kempe.kernels.servo.step_constants import BESIDE, NEAR, SHORTER, SLOW
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import read_q
 from kempe.model.model import bind_call, keep_answers, store_answer
 from kempe.model.own_tree import remove_cut_marks
-from kempe.numerics.least_squares import NEAR
 from kempe.poses import correct_rotations, read_pose_array
 from kempe.report import by_code
 from kempe.spatial import Array, log_so3
@@ -56,15 +56,11 @@ EYE = np.eye(3)
 TURNING = math.pi
 SLIDING = 1.0
 """Largest speeds of joints that the description gives none, in rad/s and m/s."""
-SHORTER = 5
-"""Halvings of a step so that no joint turns back from one cycle to the next."""
 KEPT = 64
 """Sets of tasks whose packed goals a system keeps, and sets of weights and priorities whose packed
 numbers are kept with each structure of tasks."""
 SKEW = 1e-5
 """Sum of what a rotation's product with its transpose may miss."""
-BESIDE = 1e-12
-"""How near to a bound a velocity is at it, where it is a sum of others."""
 
 
 @explain_method_errors

@@ -10,35 +10,23 @@ from collections.abc import Callable
 
 import numpy as np
 
+from kempe.kernels.servo.step_constants import (
+    AWAY,
+    BENT,
+    INWARD,
+    LEAST,
+    NEAR,
+    NO_PART,
+    NOISE,
+    NULL_SPEED,
+    SLACK,
+    WALL,
+)
 from kempe.numerics.rank import Level, Spectrum, compute_svd
 from kempe.spatial import Array
 
 Bend = Callable[[Array], Array]
 """Derivatives (k, m, n) of equations A (m, n) along directions (k, n)."""
-NEAR = 0.05
-"""Singular values below this part of the largest are damped, those at zero fully."""
-SHIFT = 2.0
-"""Weight, as a multiple of `NEAR`, by which joints beside those at a bound keep the velocities
-without bounds."""
-LEAST = 1e-5
-"""Weight of small corrections against what is corrected, so that the best ones are unique."""
-BENT = 0.01
-"""Sine of the angle by which a direction that is kept may be bent, at singular values of zero."""
-WALL = 0.25
-"""Largest part by which a singular value may fall in one cycle where a direction is kept."""
-AWAY = 1e-6
-"""Least curvature, in radians and characteristic lengths, by which a singular configuration is
-left."""
-NULL_SPEED = 0.1
-"""Cost of self-motion, against that of a slower twist."""
-NO_PART = 1e-6
-"""Part of what is wished up to which none of it is had."""
-NOISE = 1e-9
-"""Part of the largest velocity up to which one is rounding."""
-INWARD = 1e-14
-"""Gradients below this fraction of what is required release no bound: rounding."""
-SLACK = 1e-13
-"""By how much a row that no step moves may seem to be beyond its bound: rounding."""
 
 
 def minimize_damped_residual(

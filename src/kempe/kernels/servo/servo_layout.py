@@ -24,9 +24,6 @@ BAD_MOTION = -2
 WRONG_SHAPE = -3
 """What the kernel returns where it gives no step."""
 
-SLOW = 0.0499
-"""Part of its speed above which no joint turns back from one cycle to the next."""
-
 TASK_HEAD = 3
 """Integers in front of the order of tasks: levels, quaternions, equations of hard levels. Then follow
 the level of each row of ties (from 1 on, 0 for none), whether it is an equation, whether each level

@@ -20,12 +20,21 @@ import numpy as np
 from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import FLAG, FLOAT, OUT, F, I
 from kempe.kernels.base.linear import factor_matrix, substitute_back
-from kempe.kernels.base.rotations import compute_rotation_vector, turn_quaternion
+from kempe.kernels.base.rotations import compute_rotation_vector
 from kempe.kernels.base.scratch import advance_pointer
 from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.forward.bound import advance_integer_pointer
 from kempe.kernels.forward.table_layout import WORLD_ALIGNED
 from kempe.kernels.forward.table_sweep import evaluate_jacobian, evaluate_pose
+from kempe.kernels.servo.joint_step import (
+    advance_configuration,
+    compute_slow_fraction,
+    compute_velocity_bounds,
+    is_any_fast,
+    is_turning_back,
+    mark_limited,
+    take_step,
+)
 from kempe.kernels.servo.servo_layout import (
     ANSWER,
     BAD_CONFIGURATION,
@@ -37,56 +46,55 @@ from kempe.kernels.servo.servo_layout import (
     METRIC,
     NEAR,
     PLAIN,
-    SLOW,
     TWIST,
     WRONG_SHAPE,
 )
 from kempe.kernels.servo.step_algebra import (
-    NOISE,
     compute_dot,
     compute_eigenvectors,
     compute_feasible_fraction,
+    compute_largest_size,
     compute_singular_values,
     find_nearest_point,
+    is_inside,
     minimize_quadratic_in_box,
     multiply_columns,
     multiply_rows,
     solve_free_entries,
+    symmetrize_matrix,
+)
+from kempe.kernels.servo.step_constants import (
+    ASIDE,
+    AWAY,
+    BENT,
+    BLIND,
+    DIFFERENCE,
+    FLAT,
+    LARGEST,
+    LEADS,
+    LITTLE,
+    LITTLE_USE,
+    MUCH_USE,
+    NO_PART,
+    NOISE,
+    NULL_SPEED,
+    ROUNDING,
+    SADDLE,
+    SHIFT,
+    SHORTER,
+    SLOW,
+    STILL,
+    TAKEN,
+    TRIALS,
+    WALL,
 )
 
 ROWS = 6
 SKEW = 1e-5
 """Sum of what a rotation's product with its transpose may miss."""
-BESIDE = 1e-12
-"""How near to a bound, as a part of it, a velocity is at it: rounding."""
-SHORTER = 5
-"""Halvings of a step so that no joint turns back from one cycle to the next."""
-
-# ---- twists
-
-ROUNDING = 1e-12
 GENERIC = 1e-6
-"""Singular values, as parts of the largest, that rounding makes, and that count as zero."""
-SHIFT = 2.0
-"""Weight, as a multiple of `near`, by which joints beside those at a bound keep the velocities
-without bounds."""
-BENT = 0.01
-"""Sine of the angle by which a direction that is kept may be bent, at singular values of zero."""
-WALL = 0.25
-"""Largest part by which a singular value may fall in one cycle where a direction is kept."""
-AWAY = 1e-6
-"""Least curvature, in radians and characteristic lengths, by which a singular configuration is
-left."""
-NULL_SPEED = 0.1
-"""Cost of self-motion, against that of a slower twist."""
-NO_PART = 1e-6
-"""Part of what is wished up to which none of it is had."""
-DIFFERENCE = 1e-5
-"""Step of the differences of the Jacobian, in radians and characteristic lengths."""
-
-# ---- poses
-
-ENOUGH = 1e-26
+"""Singular values, as parts of the largest, that count as zero."""
+ZERO = 1e-26
 """Square of the error that counts as zero: 1e-13 of a length."""
 RESIDUAL = 0.5
 """Damping as a part of the error (Levenberg and Marquardt; Sugihara, 2011)."""
@@ -94,37 +102,12 @@ ENOUGH_GAIN = 0.75
 LITTLE_GAIN = 0.25
 """Decreases of the error, as parts of what a straight way would give, from which a step of first
 order counts alone, and up to which one of second order does; between them they are mixed."""
-LARGEST = 0.5
-ASIDE = 0.05
-"""Longest step of a coordinate where no speed bounds it, and where a singular configuration is
-left."""
-FLAT = 1e-10
-SADDLE = 1e-6
-"""Parts of the largest curvature: up to the first it counts as none, below minus the second as
-negative."""
-TAKEN = 0.1
 STRICT = 0.5
-"""Part of the promised decrease that must be had; more than half of it where a direction is
-kept."""
-STILL = 1e-20
-BLIND = 1e-13
-"""Promised decreases, as parts of the square of the error, below which one rests, or rounding hides
-the true one."""
+"""Part of the promised decrease that must be had where a direction is kept."""
 LEAST_PROMISE = 1e-28
 """Promised decrease below which one rests, however small the error is."""
-LITTLE = 0.01
-LEADS = 0.05
-"""Decreases of the error, as parts of what the joints move: up to the first no direction is kept,
-from the second on it alone counts; between them the straight step and the one towards the nearest
-pose are mixed."""
-LITTLE_USE = 0.1
-MUCH_USE = 0.5
-"""The same for the part of the speed, or of the rest of the way, that a straight step makes use
-of."""
-TRIALS = 16
 HALVINGS = 6
-"""Steps tried in one cycle, each shorter than the one before; halvings of a step in a direction
-that is kept."""
+"""Halvings of a step in a direction that is kept."""
 
 
 class Servo(NamedTuple):
@@ -142,6 +125,8 @@ class Servo(NamedTuple):
     lower: object
     upper: object
     unit: object
+    scale: object
+    """Ones: velocities are as they are."""
     fastest: object
     goal: object
     """A twist (6,), or a pose (4, 4)."""
@@ -221,50 +206,6 @@ def make_move(block, n):
 
 
 @routine
-def advance_chain(servo, q, velocity, dt, out):
-    """Write the configuration after dt, quaternions normalised."""
-    for i in range(servo.nq):
-        out[i] = q[i]
-    for k in range(servo.n):
-        i = servo.q_of[k]
-        if i >= 0:
-            out[i] += velocity[k] * dt
-    for b in range(servo.balls):
-        k = servo.ball_v[b]
-        turn_quaternion(
-            out, servo.ball_q[b], velocity[k] * dt, velocity[k + 1] * dt, velocity[k + 2] * dt
-        )
-
-
-@routine
-def take_step(servo, q, velocity, out):
-    """Write the configuration after the step, with limits kept exactly where q kept them."""
-    advance_chain(servo, q, velocity, servo.dt, out)
-    for k in range(servo.n):
-        i = servo.q_of[k]
-        if i >= 0:
-            out[i] = min(max(out[i], min(servo.lower[k], q[i])), max(servo.upper[k], q[i]))
-
-
-@routine
-def compute_velocity_bounds(servo, q, bounded, low, high):
-    """Write bounds (n,) of velocities that keep limits of position, and of speed if `bounded`.
-
-    What is outside its limits comes back as fast as it may.
-    """
-    for k in range(servo.n):
-        speed = servo.fastest[k] if bounded else math.inf
-        least = -speed
-        most = speed
-        i = servo.q_of[k]
-        if i >= 0:
-            least = min(max(least, (servo.lower[k] - q[i]) / servo.dt), speed)
-            most = max(min(most, (servo.upper[k] - q[i]) / servo.dt), -speed)
-        low[k] = least
-        high[k] = most
-
-
-@routine
 def compute_pose_error(goal, pose, e):
     """Write the error (6,) of a pose: position, rotation vector, in ground axes."""
     for i in range(3):
@@ -341,7 +282,7 @@ def compute_ends(servo, q, way, size):
     columns = advance_pointer(poses, 32)
     step = size
     for k in range(2):
-        advance_chain(servo, q, way, step, there)
+        advance_configuration(servo, q, way, step, there)
         evaluate_jacobian(
             servo.ints,
             servo.floats,
@@ -484,15 +425,6 @@ def minimize_damped_residual(servo, x, low, high, out):
             h[j * n + i] = total
     multiply_rows(h, x, n, n, push)
     minimize_quadratic_in_box(h, push, n, low, high, out, free, servo.work)
-
-
-@device
-def is_inside(x, low, high, n):
-    """Return whether x (n,) is within its bounds."""
-    for i in range(n):
-        if not (x[i] >= low[i] and x[i] <= high[i]):
-            return False
-    return True
 
 
 # ---- twists
@@ -743,7 +675,7 @@ def approach_pose(servo, q, move):
     square = fill_slopes(servo, move)
     for j in range(n):
         move.velocity[j] = min(max(0.0, move.low[j]), move.high[j])
-    if square <= ENOUGH or n == 0:
+    if square <= ZERO or n == 0:
         return False
     fill_rows(servo, move)
     if not servo.kept:
@@ -771,9 +703,7 @@ def shorten_velocity(servo, q, move, square, velocity):
     farther.
     """
     n = servo.n
-    size = 0.0
-    for j in range(n):
-        size = max(size, abs(velocity[j]))
+    size = compute_largest_size(velocity, n)
     slope = 0.0
     moved = 0.0
     z = advance_pointer(servo.vectors, 7 * n)
@@ -988,11 +918,7 @@ def fill_hessian(servo, q, move, h):
             sign = -1.0 if side == 0 else 1.0
             for j in range(n):
                 h[i * n + j] += sign * pull[j] * servo.unit[j] / (2.0 * DIFFERENCE)
-    for i in range(n):
-        for j in range(i):
-            mean = 0.5 * (h[i * n + j] + h[j * n + i])
-            h[i * n + j] = mean
-            h[j * n + i] = mean
+    symmetrize_matrix(h, n)
 
 
 @routine
@@ -1066,10 +992,7 @@ def descend_to_second_order(servo, q, move, square, low, high, out):
             for i in range(n):
                 out[i] = spare[i]
             return
-        size = 0.0
-        for i in range(n * n):
-            size = max(size, abs(model[i]))
-        more = max(4.0 * more, 1e-3 * size)
+        more = max(4.0 * more, 1e-3 * compute_largest_size(model, n * n))
         for i in range(n):
             model[i * n + i] += more
     for i in range(n):
@@ -1249,31 +1172,16 @@ def find_steady_fraction(servo, q, velocity, move, there):
     moved = advance_pointer(servo.vectors, n)
     part = 1.0
     for _ in range(SHORTER):
-        fast = False
         for j in range(n):
             moved[j] = part * velocity[j]
-            fast = fast or abs(moved[j]) > SLOW * servo.fastest[j]
-        if not fast:
+        if not is_any_fast(servo, moved):
             return part
         take_step(servo, q, moved, there)
         compute_move(servo, there, move)
-        turns = False
-        for j in range(n):
-            least = SLOW * servo.fastest[j]
-            turns = turns or (
-                abs(moved[j]) > least
-                and abs(move.velocity[j]) > least
-                and moved[j] * move.velocity[j] < 0.0
-            )
-        if not turns:
+        if not is_turning_back(servo, moved, move.velocity):
             return part
         part *= 0.5
-    part = 1.0
-    for j in range(n):
-        least = SLOW * servo.fastest[j]
-        if abs(velocity[j]) > least:
-            part = min(part, least / abs(velocity[j]))
-    return part
+    return compute_slow_fraction(servo, velocity)
 
 
 @routine
@@ -1300,7 +1208,6 @@ def write_answer(servo, move, q_index, v_index, after, all_q, all_v, q, out):
     return how many are.
     """
     n = servo.n
-    count = 0
     for k in range(all_q):
         out[k] = q[k]
     for k in range(servo.nq):
@@ -1309,15 +1216,8 @@ def write_answer(servo, move, q_index, v_index, after, all_q, all_v, q, out):
     for k in range(all_v):
         velocity[k] = 0.0
     rest = advance_pointer(velocity, all_v)
-    limited = advance_pointer(rest, ANSWER)
     for k in range(n):
-        x = move.velocity[k]
-        velocity[v_index[k]] = x
-        limited[k] = 0.0
-        near = BESIDE * abs(x)
-        if x <= move.low[k] + near or x >= move.high[k] - near:
-            limited[k] = 1.0
-            count += 1
+        velocity[v_index[k]] = move.velocity[k]
     had = 0.0
     square = 0.0
     for i in range(ROWS):
@@ -1327,7 +1227,7 @@ def write_answer(servo, move, q_index, v_index, after, all_q, all_v, q, out):
         had += wish * servo.weights[i] * x
         square += wish * wish
     rest[FRACTION] = had / square if square > 0.0 else 1.0
-    return count
+    return mark_limited(servo, move.velocity, move.low, move.high, advance_pointer(rest, ANSWER))
 
 
 @kernel(I("_"), F("_"), F("_"), F("_"), F("_"), F("_"), FLOAT, FLOAT, FLAG, OUT("_"))
@@ -1364,7 +1264,7 @@ def compute_frame_step(ints, floats, q, wanted, speed, weights, dt, damping, kep
     size = (
         16
         + 3 * nq
-        + 2 * n
+        + 3 * n
         + 3 * ROWS
         + 2 * count_move_numbers(n)
         + (ROWS * ROWS + 2 * ROWS + n * n)
@@ -1383,7 +1283,8 @@ def compute_frame_step(ints, floats, q, wanted, speed, weights, dt, damping, kep
     there = advance_pointer(own, nq)
     after = advance_pointer(there, nq)
     fastest = advance_pointer(after, nq)
-    w = advance_pointer(fastest, n)
+    scale = advance_pointer(fastest, n)
+    w = advance_pointer(scale, n)
     metric = advance_pointer(w, ROWS)
     first = advance_pointer(metric, ROWS)
     second = advance_pointer(first, count_move_numbers(n))
@@ -1408,6 +1309,7 @@ def compute_frame_step(ints, floats, q, wanted, speed, weights, dt, damping, kep
         own[k] = q[q_index[k]]
     for k in range(n):
         fastest[k] = speed[0] if one else speed[v_index[k]]
+        scale[k] = 1.0
     servo = Servo(
         advance_integer_pointer(ball_v, balls),
         advance_pointer(upper, n),
@@ -1417,6 +1319,7 @@ def compute_frame_step(ints, floats, q, wanted, speed, weights, dt, damping, kep
         lower,
         upper,
         unit,
+        scale,
         fastest,
         goal,
         w,

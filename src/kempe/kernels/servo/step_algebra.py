@@ -11,6 +11,7 @@ import math
 from kempe.kernels.base._jit import routine
 from kempe.kernels.base.linear import factor_matrix, substitute_back
 from kempe.kernels.base.scratch import advance_pointer
+from kempe.kernels.servo.step_constants import INWARD, NOISE, SLACK
 
 SWEEPS = 20
 """Rounds of rotations at most; four to six are usual."""
@@ -18,12 +19,6 @@ ORTHOGONAL = 1e-15
 """Cosine between two rows that counts as a right angle."""
 NOTHING = 1e-14
 """Length of a row, as a part of the longest, that is rounding."""
-INWARD = 1e-14
-"""Gradients below this fraction of what is required release no bound: rounding."""
-SLACK = 1e-13
-"""By how much a row that no step moves may seem to be beyond its bound: rounding."""
-NOISE = 1e-9
-"""Part of the largest velocity up to which one is rounding."""
 
 
 @routine
@@ -354,10 +349,7 @@ def find_nearest_point(rows, m, p, goal, low, high, y, work):
                 step[j] = 0.0
         multiply_rows(rows, y, m, p, value)
         multiply_rows(rows, step, m, p, way)
-        slack = 1.0
-        for i in range(m):
-            slack = max(slack, abs(way[i]))
-        slack = SLACK * slack
+        slack = SLACK * max(1.0, compute_largest_size(way, m))
         part = math.inf
         which = -1
         for i in range(m):
@@ -397,13 +389,39 @@ def find_nearest_point(rows, m, p, goal, low, high, y, work):
 
 
 @routine
+def compute_largest_size(x, n):
+    """Return the largest absolute value of numbers (n,)."""
+    size = 0.0
+    for i in range(n):
+        size = max(size, abs(x[i]))
+    return size
+
+
+@routine
+def symmetrize_matrix(h, n):
+    """Replace a matrix (n, n) by the mean of itself and its transpose."""
+    for i in range(n):
+        for j in range(i):
+            mean = 0.5 * (h[i * n + j] + h[j * n + i])
+            h[i * n + j] = mean
+            h[j * n + i] = mean
+
+
+@routine
+def is_inside(x, low, high, n):
+    """Return whether numbers (n,) are within their bounds."""
+    for i in range(n):
+        if not (x[i] >= low[i] and x[i] <= high[i]):
+            return False
+    return True
+
+
+@routine
 def compute_feasible_fraction(x, low, high, n):
     """Return the largest fraction of x (n,), at most 1, that is within bounds; rounding counts as
     zero.
     """
-    size = 0.0
-    for i in range(n):
-        size = max(size, abs(x[i]))
+    size = compute_largest_size(x, n)
     part = 1.0
     for i in range(n):
         if abs(x[i]) > NOISE * size:

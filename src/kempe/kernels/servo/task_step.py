@@ -18,7 +18,6 @@ import numpy as np
 
 from kempe.kernels.base._jit import device, kernel, routine
 from kempe.kernels.base.declare import FLOAT, OUT, F, I
-from kempe.kernels.base.rotations import turn_quaternion
 from kempe.kernels.base.scratch import advance_pointer, copy_numbers
 from kempe.kernels.base.search_layout import LARGEST as LARGEST_NUMBER
 from kempe.kernels.base.vectors import get_pointer, keep_alive
@@ -30,10 +29,18 @@ from kempe.kernels.forward.bound import advance_integer_pointer
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
 from kempe.kernels.forward.table_rows import count_sweep_scratch, locate_poses, write_row_poses
+from kempe.kernels.servo.joint_step import (
+    advance_configuration,
+    compute_slow_fraction,
+    compute_velocity_bounds,
+    is_any_fast,
+    is_turning_back,
+    mark_limited,
+    take_step,
+)
 from kempe.kernels.servo.servo_layout import (
     BAD_CONFIGURATION,
     BAD_MOTION,
-    SLOW,
     TASK_HEAD,
     WRONG_SHAPE,
 )
@@ -41,58 +48,41 @@ from kempe.kernels.servo.step_algebra import (
     compute_dot,
     compute_eigenvectors,
     compute_feasible_fraction,
+    compute_largest_size,
     compute_singular_values,
+    is_inside,
     multiply_columns,
     multiply_rows,
+    symmetrize_matrix,
+)
+from kempe.kernels.servo.step_constants import (
+    ASIDE,
+    BEYOND,
+    BLIND,
+    BUSY,
+    DIFFERENCE,
+    ENOUGH,
+    FLAT,
+    HALF,
+    INWARD,
+    LARGEST,
+    LEAST,
+    NEAR,
+    NOTHING,
+    ROUNDING,
+    SADDLE,
+    SHIFT,
+    SHORTER,
+    SLACK,
+    SLOW,
+    STILL,
+    TAKEN,
+    TRIALS,
 )
 from kempe.kernels.tasks.task_search import is_rigid
 
-NEAR = 0.05
-"""Singular values below this part of the largest are damped, those at zero fully."""
-ROUNDING = 1e-12
 CLOSED = 1e-8
-"""Singular values, as parts of the largest, that rounding makes, and that count as zero."""
-LEAST = 1e-5
-SHIFT = 2.0
-"""Weights, as multiples of `NEAR`, by which other joints keep their velocities where limits hold
-some: limits of position, and of speed."""
-BEYOND = 1e-12
-"""By how much a bound may seem to be exceeded: rounding."""
-INWARD = 1e-14
-"""Gradients below this fraction of what is required release no bound: rounding."""
-SLACK = 1e-13
-"""By how much a row that no step moves may seem to be beyond its bound: rounding."""
-BESIDE = 1e-12
-"""How near to a bound a velocity is at it: rounding."""
-EDGE = 1e-15
-"""Part of a coordinate by which it is at a limit."""
-DIFFERENCE = 1e-5
-"""Step of the differences of gradients, in radians and characteristic lengths."""
-HALF = 0.5
-ENOUGH = 1e-13
-BUSY = 2.0
-"""Part of what is required that a step of first order may leave; what may be left in any case; and
-what earlier levels miss, as a multiple of the square of the step, to count as not arrived."""
-NOTHING = 1e-14
-"""Length of what is missed that rounding makes."""
-LARGEST = 0.5
-ASIDE = 0.05
-"""Longest step of a coordinate where no speed bounds it, and where a singular configuration is
-left."""
-FLAT = 1e-10
-SADDLE = 1e-6
-"""Parts of the largest curvature: up to the first it counts as none, below minus the second as
-negative."""
-TAKEN = 0.1
-"""Part of the promised decrease that must be had."""
-STILL = 1e-20
-BLIND = 1e-13
-"""Promised decreases, as parts of the square of the error, below which one rests, or rounding hides
-the true one."""
-TRIALS = 16
-"""Steps tried in one cycle, each shorter than the one before."""
-SHORTER = 5
-"""Halvings of a step so that no joint turns back from one cycle to the next."""
+"""Singular values, as parts of the largest, that count as zero."""
 TINY = 1e-300
 
 
@@ -206,61 +196,6 @@ class Trial(NamedTuple):
 
 
 # ---- configurations and rows
-
-
-@routine
-def advance_configuration(own, q, u, dt, out):
-    """Write the configuration after dt, quaternions normalised."""
-    copy_numbers(out, q, 0, own.nq)
-    for k in range(own.n):
-        i = own.q_of[k]
-        if i >= 0:
-            out[i] += u[k] * own.scale[k] * dt
-    for b in range(own.balls):
-        k = own.ball_v[b]
-        turn_quaternion(
-            out,
-            own.ball_q[b],
-            u[k] * own.scale[k] * dt,
-            u[k + 1] * own.scale[k + 1] * dt,
-            u[k + 2] * own.scale[k + 2] * dt,
-        )
-
-
-@routine
-def take_step(own, q, u, out):
-    """Write the configuration after the step, with limits kept exactly where q kept them."""
-    advance_configuration(own, q, u, own.dt, out)
-    for k in range(own.n):
-        i = own.q_of[k]
-        if i >= 0:
-            out[i] = min(max(out[i], min(own.lower[k], q[i])), max(own.upper[k], q[i]))
-
-
-@routine
-def compute_velocity_bounds(own, q, bounded, low, high):
-    """Write bounds (n,) of velocities that keep limits of position, and of speed if `bounded`.
-
-    What is outside its limits comes back as fast as it may.
-    """
-    for k in range(own.n):
-        speed = own.fastest[k] if bounded else math.inf
-        least = -speed
-        most = speed
-        i = own.q_of[k]
-        if i >= 0:
-            below = own.lower[k] - q[i]
-            above = own.upper[k] - q[i]
-            near = EDGE * max(1.0, abs(q[i]))
-            if abs(below) <= near:
-                below = 0.0
-            if abs(above) <= near:
-                above = 0.0
-            per = 1.0 / (own.dt * own.scale[k])
-            least = min(max(least, below * per), speed)
-            most = max(min(most, above * per), -speed)
-        low[k] = least
-        high[k] = most
 
 
 @routine
@@ -409,10 +344,7 @@ def find_nearest_bounded(d, p, count):
                     d.step[j] = d.goal[j] - d.y[j]
             multiply_rows(d.reduced, d.step, count, p, d.way)
             multiply_rows(d.reduced, d.y, count, p, d.value)
-            slack = 1.0
-            for i in range(count):
-                slack = max(slack, abs(d.way[i]))
-            slack *= SLACK
+            slack = SLACK * max(1.0, compute_largest_size(d.way, count))
             part = math.inf
             which = -1
             for i in range(count):
@@ -447,15 +379,6 @@ def find_nearest_bounded(d, p, count):
         if worst < 0:
             return
         d.held[worst] = 0.0
-
-
-@device
-def is_inside(value, low, high, count):
-    """Return whether all values are within bounds."""
-    for i in range(count):
-        if not (value[i] >= low[i] and value[i] <= high[i]):
-            return False
-    return True
 
 
 @routine
@@ -552,15 +475,9 @@ def make_convex_problem(own, d, p, m, model, damping):
             for i in range(p):
                 for j in range(p):
                     d.inner[i * p + j] += weak * weak * d.vectors[k * p + i] * d.vectors[k * p + j]
-    for i in range(p):
-        for j in range(i):
-            mean = 0.5 * (d.inner[i * p + j] + d.inner[j * p + i])
-            d.inner[i * p + j] = mean
-            d.inner[j * p + i] = mean
+    symmetrize_matrix(d.inner, p)
     compute_eigenvectors(d.inner, p, d.inner_values, d.inner_vectors, d.work)
-    most = 0.0
-    for i in range(p):
-        most = max(most, abs(d.inner_values[i]))
+    most = compute_largest_size(d.inner_values, p)
     for i in range(p):
         size = abs(d.inner_values[i])
         if size <= FLAT * most:
@@ -818,11 +735,7 @@ def compute_hessian(own, loops, d, t, q, rows, aside, level, u, low, high):
                     a += 1
             for j in range(n):
                 row[j] -= sign / (2.0 * DIFFERENCE) * t.pull[j]
-    for k in range(n):
-        for j in range(k):
-            mean = 0.5 * (t.model[k * n + j] + t.model[j * n + k])
-            t.model[k * n + j] = mean
-            t.model[j * n + k] = mean
+    symmetrize_matrix(t.model, n)
 
 
 @routine
@@ -842,9 +755,7 @@ def leave_saddle_point(own, d, t, rows, level, low, high, u):
     p = n - rank
     if p == 0:
         return -1.0
-    most = 0.0
-    for i in range(n * n):
-        most = max(most, abs(t.model[i]))
+    most = compute_largest_size(t.model, n * n)
     for i in range(p):
         multiply_rows(t.model, advance_pointer(d.held_vectors, (rank + i) * n), n, n, d.step)
         for j in range(p):
@@ -890,9 +801,7 @@ def descend_to_second_order(
     n = own.n
     before = compute_level_square(own, rows, level, u, False)  # exactly as below: rounding cancels
     compute_hessian(own, loops, d, t, q, rows, aside, level, u, low, high)
-    size = 0.0
-    for i in range(n * n):
-        size = max(size, abs(t.model[i]))
+    size = compute_largest_size(t.model, n * n)
     more = 0.0
     for _ in range(TRIALS):
         copy_numbers(t.convex, t.model, 0, n * n)
@@ -1022,30 +931,17 @@ def find_steady_fraction(own, loops, d, t, q, u, moved, rows, aside, low, high, 
     n = own.n
     part = 1.0
     for _ in range(SHORTER):
-        fast = False
         for j in range(n):
             moved[j] = part * u[j]
-            fast = fast or abs(moved[j]) > SLOW * own.fastest[j]
-        if not fast:
+        if not is_any_fast(own, moved):
             return part
         take_step(own, q, moved, there)
         evaluate_rows(own, loops, there, rows)
         compute_goal_velocity(own, loops, d, t, there, rows, aside, low, high, then)
-        turns = False
-        for j in range(n):
-            least = SLOW * own.fastest[j]
-            turns = turns or (
-                abs(moved[j]) > least and abs(then[j]) > least and moved[j] * then[j] < 0.0
-            )
-        if not turns:
+        if not is_turning_back(own, moved, then):
             return part
         part *= 0.5
-    part = 1.0
-    for j in range(n):
-        least = SLOW * own.fastest[j]
-        if abs(u[j]) > least:
-            part = min(part, least / abs(u[j]))
-    return part
+    return compute_slow_fraction(own, u)
 
 
 @routine
@@ -1058,14 +954,9 @@ def write_answer(own, rows, q, u, low, high, out):
     velocity = advance_pointer(out, own.nq)
     limited = advance_pointer(velocity, n + 1)
     rates = advance_pointer(limited, n)
-    count = 0
+    count = mark_limited(own, u, low, high, limited)
     for j in range(n):
         velocity[j] = u[j] * own.scale[j]
-        near = BESIDE * max(1.0, abs(u[j]))
-        limited[j] = 0.0
-        if u[j] <= low[j] + near or u[j] >= high[j] - near:
-            limited[j] = 1.0
-            count += 1
     had = 0.0
     square = 0.0
     k = 0
