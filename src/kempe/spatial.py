@@ -218,29 +218,33 @@ def matrix_to_quat_wxyz(R: ArrayLike) -> Array:
     The largest component is used (Shepperd, 1978).
     """
     m = numbers(R, "R", 3, 3)
-    d = np.stack([m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]], axis=-1)
-    trace = d.sum(axis=-1)
-    # squares of (w, x, y, z), times 4
-    squares = np.concatenate([1.0 + trace[..., None], 1.0 - trace[..., None] + 2.0 * d], axis=-1)
-    products = np.empty((*m.shape[:-2], 4, 4))
+    xx = m[..., 0, 0]
+    yy = m[..., 1, 1]
+    zz = m[..., 2, 2]
+    trace = xx + yy + zz
+    rest = 1.0 - trace
     wx = m[..., 2, 1] - m[..., 1, 2]
     wy = m[..., 0, 2] - m[..., 2, 0]
     wz = m[..., 1, 0] - m[..., 0, 1]
     xy = m[..., 0, 1] + m[..., 1, 0]
     xz = m[..., 0, 2] + m[..., 2, 0]
     yz = m[..., 1, 2] + m[..., 2, 1]
-    for row, values in enumerate(
-        [
-            (squares[..., 0], wx, wy, wz),
-            (wx, squares[..., 1], xy, xz),
-            (wy, xy, squares[..., 2], yz),
-            (wz, xz, yz, squares[..., 3]),
-        ]
-    ):
-        products[..., row, :] = np.stack(values, axis=-1)
-    best = np.argmax(squares, axis=-1)
-    q = np.take_along_axis(products, best[..., None, None], axis=-2)[..., 0, :]
-    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    # products of two of (w, x, y, z), times 4
+    products = np.empty((*m.shape[:-2], 4, 4))
+    products[..., 0, 0] = 1.0 + trace
+    products[..., 1, 1] = rest + 2.0 * xx
+    products[..., 2, 2] = rest + 2.0 * yy
+    products[..., 3, 3] = rest + 2.0 * zz
+    for i, j, x in ((0, 1, wx), (0, 2, wy), (0, 3, wz), (1, 2, xy), (1, 3, xz), (2, 3, yz)):
+        products[..., i, j] = x
+        products[..., j, i] = x
+    best = np.diagonal(products, axis1=-2, axis2=-1).argmax(axis=-1)
+    q = (
+        products[best]
+        if products.ndim == 2
+        else np.take_along_axis(products, best[..., None, None], axis=-2)[..., 0, :]
+    )
+    q = q / np.sqrt((q * q).sum(axis=-1, keepdims=True))
     return cast(Array, np.where(q[..., :1] < 0.0, -q, q))
 
 
@@ -251,17 +255,15 @@ def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     b = numbers(b, "b", 4)
     if a.shape != b.shape:
         together({"a": a.shape, "b": b.shape})
-    aw, ax, ay, az = np.moveaxis(a, -1, 0)
-    bw, bx, by, bz = np.moveaxis(b, -1, 0)
-    return np.stack(
-        [
-            aw * bw - (ax * bx + ay * by + az * bz),
-            aw * bx + bw * ax + (ay * bz - az * by),
-            aw * by + bw * ay + (az * bx - ax * bz),
-            aw * bz + bw * az + (ax * by - ay * bx),
-        ],
-        axis=-1,
-    )
+    aw, ax, ay, az = (a[..., i] for i in range(4))
+    bw, bx, by, bz = (b[..., i] for i in range(4))
+    w = aw * bw - (ax * bx + ay * by + az * bz)
+    out = np.empty((*w.shape, 4))
+    out[..., 0] = w
+    out[..., 1] = aw * bx + bw * ax + (ay * bz - az * by)
+    out[..., 2] = aw * by + bw * ay + (az * bx - ax * bz)
+    out[..., 3] = aw * bz + bw * az + (ax * by - ay * bx)
+    return out
 
 
 @quiet

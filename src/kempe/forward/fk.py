@@ -350,7 +350,7 @@ class _ChainQuery:
         return pose, columns
 
 
-def _find_query(system: Model, frame: FrameLike) -> Any:
+def find_query(system: Model, frame: FrameLike) -> Any:
     """Return the prepared forward kinematics of a frame, made once."""
     name = frame if frame.__class__ is str else system.structure.frame_name(frame)
 
@@ -384,7 +384,7 @@ def fk(
     if form is not None or dtype is not None or relative_to is not None:
         return compute_poses_in_form(system, q, frame, out, threads, form, dtype, relative_to)
     if frame is not None and not isinstance(frame, (list, tuple)):
-        return _find_query(system, frame)(None, q, out, threads)
+        return find_query(system, frame)(None, q, out, threads)
     key = None if frame is None else tuple(system.structure.frame_name(f) for f in frame)
     ints, floats = _pack_frames(system, key)
     q = read_q(system, q)
@@ -423,9 +423,9 @@ def jacobian(
     Source: Featherstone, *Rigid Body Dynamics Algorithms*, 2008, section 2.8.
     """
     if not isinstance(frame, (list, tuple)):
-        of_frame = _find_query(system, frame)
+        of_frame = find_query(system, frame)
         return of_frame.jacobian(q, in_frame, threads=threads)
-    of_frames = [_find_query(system, system.structure.frame_name(f)) for f in frame]
+    of_frames = [find_query(system, system.structure.frame_name(f)) for f in frame]
     q = read_q(system, q)
     out = np.empty((*q.shape[:-1], len(of_frames), 6, system.nv))
     for k, of_frame in enumerate(of_frames):

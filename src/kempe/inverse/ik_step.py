@@ -17,7 +17,7 @@ from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.packed_tasks import Packed, find_leading_shape, refuse_goal
 from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
-from kempe.forward.fk import query, refuse_bad_configuration
+from kempe.forward.fk import find_query, refuse_bad_configuration
 from kempe.inverse.chain.serial_chain import find_chain, find_obstacle
 from kempe.inverse.constrained_step import ConstrainedSteps, Stage, StageMaker
 from kempe.kernels.compiled import make_allocator, servo_step, task_step
@@ -680,7 +680,7 @@ def _read_wanted_motion(
         )
         return StageMaker(problem, dt), NONE, asked
     goal = _parse_motion(wanted)
-    pose_of = query(system, frame)
+    pose_of = find_query(system, frame)
 
     def make_stages(x: Array) -> list[Stage]:
         pose, J = pose_of.pose_and_jacobian(x)
