@@ -24,6 +24,7 @@ from kempe.errors import InputError, KempeError
 from kempe.namespaces import BodyGeometry, Inverse, Loops, ReachStudies
 from kempe.report import Report, Result
 from kempe.status import Status
+from kempe.words import convert_sentence_angles
 
 
 def marked(name: str, *joints: str) -> kempe.System:
@@ -561,9 +562,9 @@ def test_json_holds_what_python_says(name):
 def test_columns_and_frames_show_what_print_does(name):
     """The text in columns begins as `print` does, in either unit; a data frame can be made of it."""
     result, _ = answered(name)
-    for degrees in (False, True):
+    for degrees in (True, False):
         lines = result.text(degrees).splitlines()
-        assert lines[0] == str(result).splitlines()[0]
+        assert lines[0] == convert_sentence_angles(str(result).splitlines()[0], degrees)
         assert not any(line != line.rstrip() for line in lines)
     narrow = result.text(width=60).splitlines()
     assert narrow[0] in lines[0] and " ".join(narrow).split()[:5] == lines[0].split()[:5]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 import kempe
 from kempe import spatial
 from kempe.errors import DegreesWarning
+from kempe.words import convert_sentence_angles
 
 ARM = kempe.load("puma560")
 LOOP = kempe.load("four_bar")
@@ -121,3 +123,24 @@ def test_commands_advise_to_give_deg(words):
     assert "rad" in found.err and "for degrees give --deg" in found.err
     assert "DegreesWarning" not in found.err
     assert "--deg" not in Result(*words, "--deg").err
+
+
+@pytest.mark.parametrize(
+    ("sentence", "shown"),
+    [
+        ("missed by 0.2 m, 0.36 rad", "missed by 0.2 m, 20.6 deg"),
+        ("'A' = 0.872665 rad is not on it", "'A' = 50 deg is not on it"),
+        ("1e-16 rad, at most 3.1 rad/s", "6e-15 deg, at most 3.1 rad/s"),
+        ("radii of 2 m", "radii of 2 m"),
+    ],
+)
+def test_sentences_have_degrees_where_these_are_requested(sentence, shown):
+    assert convert_sentence_angles(sentence, False) == sentence
+    assert convert_sentence_angles(sentence, True) == shown
+
+
+def test_the_text_of_an_answer_has_its_error_in_degrees():
+    answer = ARM.ik(spatial.pose(spatial.rot_z(1.0), [9.0, 0.0, 0.0]), "tool")
+    (radians,) = re.findall(r"misses it by \S+ m, (\S+) rad", answer.text())
+    (degrees,) = re.findall(r"misses it by \S+ m, (\S+) deg", answer.text(degrees=True))
+    assert float(degrees) == pytest.approx(np.degrees(float(radians)), rel=1e-2)

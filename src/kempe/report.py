@@ -22,6 +22,7 @@ from kempe.words import (
     Quantity,
     Unit,
     align_columns,
+    convert_sentence_angles,
     format_fixed,
     format_html_image,
     format_html_paragraphs,
@@ -350,9 +351,12 @@ class Result:
         whole number.
         """
         width = _check_line_width(width)
-        parts = [_wrap_line(self._make_headline(), width)]
+        head, *notes = (
+            _wrap_line(convert_sentence_angles(x, degrees), width)
+            for x in (self._make_headline(), *self._list_notes(degrees))
+        )
+        parts = [head]
         parts += ["\n".join(["", *table.align_columns(degrees)]) for table in self._make_tables()]
-        notes = [_wrap_line(x, width) for x in self._list_notes(degrees)]
         if notes and len(parts) > 1:
             parts += ["", *notes]
         else:
@@ -418,7 +422,8 @@ class Report(Result):
         if not topics:
             return super().text(degrees, width)
         width = _check_line_width(width)
-        return format_topics(_wrap_line(self._make_headline(), width), topics, width=width)
+        text = format_topics(_wrap_line(self._make_headline(), width), topics, width=width)
+        return convert_sentence_angles(text, degrees)
 
     def _repr_html_(self) -> str:
         topics = self.topics()

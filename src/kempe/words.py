@@ -191,6 +191,22 @@ def format_json(data: Any, ascii_only: bool = False) -> str:
 
 
 DEGREE = math.pi / 180.0
+_RADIANS = re.compile(r"(?<![\w.])(-?\d[\d.]*(?:e[+-]?\d+)?) rad\b(?!/)")
+
+
+def convert_sentence_angles(text: str, degrees: bool) -> str:
+    """Return a sentence with its angles in radians converted to degrees if `degrees` is true.
+
+    An angle keeps its significant digits; from one degree on it has three at least.
+    """
+
+    def convert_angle(found: re.Match[str]) -> str:
+        """Return one angle in degrees."""
+        digits = len(found[1].partition("e")[0].lstrip("-0.").replace(".", ""))
+        angle = float(found[1]) / DEGREE
+        return f"{angle:.{max(digits, 3 if abs(angle) >= 1.0 else 1)}g} deg"
+
+    return _RADIANS.sub(convert_angle, text) if degrees else text
 
 
 class Quantity(NamedTuple):

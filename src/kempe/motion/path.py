@@ -476,10 +476,10 @@ class Path(Motion):
         if not len(q):
             return ""
         value = self.q[0][self.system.coordinate_names.index(name)]
+        unit = list_units(self.system)[name]
+        at = f"{value:.6g} {unit}".rstrip()
         many = "1 other assembly mode" if len(q) == 1 else f"{len(q)} other assembly modes"
-        return (
-            f"{many} with {name!r} = {value:.6g} {'is' if len(q) == 1 else 'are'} not on this curve"
-        )
+        return f"{many} with {name!r} = {at} {'is' if len(q) == 1 else 'are'} not on this curve"
 
 
 def _list_event_data(
