@@ -101,11 +101,34 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class CellMap:
-    """Numbers of samples in cells: `counts` (nx, ny, nz).
+    """Number of samples in each cell of a box around a workspace.
 
-    The `axes` hold the centres of the cells in metres.
+    `Workspace.map` is one. An axis along which the frame does not move is left out.
 
-    An axis along which nothing moves is left out.
+    Attributes
+    ----------
+    grid : Grid
+        The box along the axes of the ground, and the number of its cells.
+    counts : ndarray of int
+        Number of samples in each cell, shape (nx, ny, nz) with one entry for each of the `axes`.
+
+    See Also
+    --------
+    kempe.System.workspace : Computes a workspace and its map.
+
+    Notes
+    -----
+    Lengths are metres. The map of a workspace of the kind "orientation" has angles in radians as
+    axes; `unit` says which.
+
+    Examples
+    --------
+    >>> import kempe
+    >>> cells = kempe.load("two_link").workspace("e", n=100_000, cells=20).map
+    >>> cells.counts.shape, list(cells.axes), cells.unit
+    ((20, 20), ['x', 'y'], 'm')
+    >>> int(cells.counts.sum())
+    100000
     """
 
     grid: Grid
@@ -113,25 +136,47 @@ class CellMap:
 
     @property
     def unit(self) -> str:
-        """The unit of the axes: metres, or radians for orientations."""
+        """Unit of the axes: "m", or "rad" for a workspace of the kind "orientation".
+
+        Returns
+        -------
+        str
+            "m" or "rad".
+        """
         return "m" if self.grid.names == AXES else "rad"
 
     @property
     def axes(self) -> dict[str, Array]:
-        """The centres of the cells [m] along each axis, by name."""
+        """Centres of the cells along each axis.
+
+        Returns
+        -------
+        dict of str to ndarray
+            Coordinates (n,) of the centres in the ground frame, by the name of the axis, in `unit`.
+        """
         return {a: self.grid.list_centres(a) for a in self.grid.axes}
 
     @cached_property
     def occupied(self) -> np.ndarray:
-        """Mask of the cells with at least one sample."""
+        """Mask of the cells with at least one sample.
+
+        Returns
+        -------
+        ndarray of bool
+            Shape of `counts`.
+        """
         return self.counts > 0
 
     @cached_property
     def layers(self) -> dict[str, np.ndarray]:
-        """Masks of the cells `inner`, `near` and `far`, by the samples in their neighbours.
+        """Masks of the cells far inside, near the boundary, and far outside.
 
-        All around `inner` cells have samples, around `far` cells none has; `near` cells are the
-        others.
+        Returns
+        -------
+        dict of str to ndarray of bool
+            Masks with the shape of `counts`. "inner": the cell and all its neighbours have samples;
+            "far": neither the cell nor a neighbour has a sample; "near": all other cells.
+            Neighbours share a face, an edge or a corner with the cell.
         """
         around = np.ones((3,) * self.counts.ndim, dtype=bool)
         inner = np.asarray(_images.binary_erosion(self.occupied, around), dtype=bool)
@@ -140,7 +185,13 @@ class CellMap:
 
     @cached_property
     def edge(self) -> KDTree:
-        """Search tree of the centres of cells with samples beside cells without samples."""
+        """Cells with samples that share a face with a cell without samples.
+
+        Returns
+        -------
+        scipy.spatial.KDTree
+            Search tree of the centres (k, d) of these cells, in `unit`.
+        """
         within = _images.binary_erosion(
             self.occupied, _images.generate_binary_structure(self.counts.ndim, 1)
         )
@@ -151,9 +202,14 @@ class CellMap:
 
     @cached_property
     def empty(self) -> tuple[KDTree, np.ndarray]:
-        """The centres (k, d) of cells without samples and of cells around the box.
+        """Cells without samples, with one layer of cells around the box.
 
-        A mask (k,) tells which are around it.
+        Returns
+        -------
+        tree : scipy.spatial.KDTree
+            Search tree of the centres (k, d) of these cells, in `unit`.
+        around : ndarray of bool
+            Mask (k,) of the cells that lie outside the box.
         """
         occupied = np.pad(self.occupied, 1)
         at = np.argwhere(~occupied) - 1
@@ -164,12 +220,24 @@ class CellMap:
 
     @property
     def cell(self) -> tuple[float, ...]:
-        """Edge lengths of a cell [m], along the axes."""
+        """Edge lengths of a cell.
+
+        Returns
+        -------
+        tuple of float
+            One length for each of the `axes`, in `unit`.
+        """
         return tuple(self.grid.size.tolist())
 
     @property
     def points(self) -> Array:
-        """Centres (k, d) [m] of the cells with samples, as a point cloud."""
+        """Centres of the cells with samples, as a point cloud.
+
+        Returns
+        -------
+        ndarray
+            Coordinates (k, d) in the ground frame, one column for each of the `axes`, in `unit`.
+        """
         at = np.argwhere(self.occupied)
         return np.array(self.grid.low)[self.grid.measured_axes] + (at + 0.5) * self.grid.size
 
