@@ -94,7 +94,7 @@ ik panda --tasks t.toml --frame tool -> leave --frame out
 ik panda --tasks t.toml --all -> --all
 ik panda --tasks t.toml --prefer most -> 'most'
 ik panda --tasks no.toml -> no such file
-ik panda --frame tool --target 1,0,0 --prefer mid -> --prefer is for --tasks
+ik panda --frame tool --target 1,0,0 --prefer mid -> --prefer needs --tasks
 path panda --frame tool --targets 0.4,0,0.5 -> .csv or .npy
 path two_link --frame e --targets p.csv --max-step -1 -> max_step
 path two_link --frame e --targets p.csv --tasks x -> leave --frame out
@@ -127,7 +127,7 @@ assemble engine.toml A=1 W=1 -> 'W' is 1; it follows 'A'
 assemble four_bar unnamed.csv -> must name
 assemble four_bar unknown.csv -> no coordinate or frame 'X'
 assemble four_bar twice.csv -> twice
-assemble four_bar A.csv --plot x.png -> one configuration is drawn
+assemble four_bar A.csv --plot x.png -> a picture shows one configuration
 assemble four_bar A.csv -o A.csv -> the command reads this file
 classify four_bar --q 0.5,0.1,0.2,0.3 -> --project
 trace four_bar --driver X -> 'X'

@@ -185,7 +185,7 @@ def test_wrong_jacobians_are_refused():
     [
         (c.Function(lambda q: math.nan), "finite"),
         (c.Function(lambda q: "x"), "must give a number"),
-        (c.Function(lambda q: []), "gives no numbers at all"),
+        (c.Function(lambda q: []), "returns no numbers"),
         (c.Function(NONE), "it must be a function of q"),
         (c.Function(NONE, frames="coupler"), r"it must be a function of 1 pose \(4, 4\)"),
         (

@@ -397,7 +397,7 @@ def test_velocities_that_contradict_each_other() -> None:
     assert "contradict each other" in found.sentence and found.growth is None
 
 
-# ---- what is beyond the digits of numbers
+# ---- what cannot be decided in double precision
 
 
 def test_long_trains_are_right_or_doubtful(hunt: Hunt) -> None:
@@ -565,11 +565,11 @@ def test_scales_of_coordinates_and_rows_do_not_change_the_kind_unless_it_is_doub
         found = sliding(("x", "y", "z"), rows).classify([0.3, rng.choice([-1, 1]) * far, 0.2])
         assert found.doubtful or plain in found.status, (a, b, row, far, found.status)
         assert (
-            not found.doubtful or "beyond the digits" in found.status or "doubtful" in found.status
+            not found.doubtful or "cannot be decided" in found.status or "doubtful" in found.status
         )
         law = found.constraints["law"]
         assert law.doubtful or law.kind == "nonholonomic"
-        assert not law.doubtful or "beyond the digits" in law.sentence
+        assert not law.doubtful or "cannot be decided" in law.sentence
 
 
 def test_far_places_of_what_is_integrable_are_not_said_to_reach_more(hunt: Hunt) -> None:

@@ -883,7 +883,7 @@ WRONG = [
     (
         rows_of(5, 1, columns=["A"]),
         {"system": BAR, "frame": None},
-        "'B' is missing, which the loops of 'four_bar'",
+        "'B' is missing: give all of",
     ),
     (rows_of(5, 1, columns=["Z"]), {"system": BAR, "verb": "assemble", "frame": None}, "'Z'"),
     (rows_of(5, 1, columns=["A"]), {"system": BAR, "verb": "assemble"}, "assemble needs no frame"),

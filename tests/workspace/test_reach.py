@@ -283,12 +283,12 @@ def test_a_capability_map_says_why_no_direction_is_reached():
     none, some = (scara().reach.capability("tool", box, 2, d) for d in (8, [[0, 0, 1]]))
     assert not none.fraction.any() and some.fraction.any()
     assert (
-        "a position and a direction have 5 equations, and this frame moves in 3 freedoms only"
+        "a position and a direction have 5 equations, but this frame has only 3 freedoms"
         in none.status
     )
     assert "only" not in some.status
     turned = scara().reach.capability("tool", box, 2, 8, rolls=2)
-    assert "a pose has 6 equations, and this frame moves in 4 freedoms only" in turned.status
+    assert "a pose has 6 equations, but this frame has only 4 freedoms" in turned.status
     far = PUMA.reach.capability("tool", [[8, 8, 8], [9, 9, 9]], 2, 8)
     assert not far.fraction.any() and "only" not in far.status
 

@@ -78,7 +78,7 @@ def describe_hard_tasks(place: float | None, turn: float | None, how: str, freed
 
 def describe_unfinished_tasks(limit: float | None) -> str:
     """Describe that the time limit ended the search before soft tasks were finished."""
-    return f"the time limit of {limit or 0.0:g} s ended it before all was lowered as far as can be"
+    return f"the time limit of {limit or 0.0:g} s ended the search before all errors were minimal"
 
 
 def describe_closed_loops(residual: float, steps: int, starts: int, left: str) -> str:

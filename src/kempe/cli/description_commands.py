@@ -33,7 +33,10 @@ def run_info(
     system: System,
     output: Output,
     tree: Annotated[
-        bool, make_option("--tree", "Only the tree of bodies and joints, and what closes loops.")
+        bool,
+        make_option(
+            "--tree", "Only the tree of bodies and joints, and the joints that close loops."
+        ),
     ] = False,
 ) -> None:
     """Say what a system is: bodies, joints, loops, limits, frames; or draw it, or its tree.
@@ -121,13 +124,13 @@ def run_convert(
 
 PagePath = Annotated[
     Path | None,
-    make_option("-o,--html", "Write a page that opens from disk, and serve none.", "FILE"),
+    make_option("-o,--html", "Write a page that opens from disk, without a server.", "FILE"),
 ]
 Port = Annotated[
     int | None, make_option("--port", "Port of the page (8080, or the next that is free).", "N")
 ]
 NoBrowser = Annotated[
-    bool, make_option("--no-browser", "Open no browser: only say where the page is.")
+    bool, make_option("--no-browser", "Open no browser, only print the address of the page.")
 ]
 
 

@@ -45,15 +45,20 @@ def run_dof(
     actuated: Annotated[
         str | None,
         make_option(
-            "--actuated", "Driven joints: do they control it? Default: as FILE says.", "A,B,..."
+            "--actuated",
+            "Driven joints, to test whether they control the system (default: those of FILE).",
+            "A,B,...",
         ),
     ] = None,
     fast: Annotated[
-        bool, make_option("--fast", "Counting and rank only, not the true local dimension.")
+        bool,
+        make_option(
+            "--fast", "Count and rank only; leave out the local dimension, which takes longer."
+        ),
     ] = False,
     tolerance: options.Dimensions = None,
 ) -> None:
-    """Count the degrees of freedom: by formula, by rank and truly.
+    """Compute the degrees of freedom: Grübler count, rank, and local dimension.
 
     Example: kempe dof bennett
     """
@@ -74,7 +79,10 @@ def run_classify(
     q: options.Values = None,
     posture: options.Posture = None,
     project: Annotated[
-        bool, make_option("--project", "Where q is not closed, take the nearest that is.")
+        bool,
+        make_option(
+            "--project", "If q does not close the loops, take the nearest configuration that does."
+        ),
     ] = False,
     tolerance: options.Dimensions = None,
 ) -> None:
@@ -144,7 +152,7 @@ def run_assemble(
         list[str] | None,
         make_option(
             "--where",
-            "An equation that holds, too, in radians and metres: 'A = 2*B'. May be repeated.",
+            "Additional equation, in radians and metres, such as 'A = 2*B'; can be repeated.",
             "EQUATION",
         ),
     ] = None,
@@ -156,10 +164,15 @@ def run_assemble(
         bool, make_option("--modes", "All assembly modes, not only the one near the start.")
     ] = False,
     nearest: Annotated[
-        bool, make_option("--nearest", "Where freedoms are left: the nearest to the start.")
+        bool,
+        make_option("--nearest", "If freedoms are left, take the solution nearest to the start."),
     ] = False,
     continuous: Annotated[
-        bool, make_option("--continuous", "Rows of a file: each starts where the last two lead.")
+        bool,
+        make_option(
+            "--continuous",
+            "For the rows of a file: start each search at the extrapolation of the last two.",
+        ),
     ] = False,
     no_limits: options.NoLimits = False,
     tolerance: options.Dimensions = None,
@@ -192,8 +205,8 @@ def run_assemble(
         answer = system.assemble(values, branch=branch, prefer=way, **common)
         if output.plot is not None and np.ndim(answer.success):
             raise InputError(
-                f"{output.plot}: one configuration is drawn, and the file of known values has "
-                "several"
+                f"{output.plot}: a picture shows one configuration, but the file of known values "
+                "has several"
             )
     output.save_table(answer, found=bool(np.any(answer.success)))
     output.draw_configurations(system, answer, side_by_side=modes and 1 < len(answer) <= BESIDE)
@@ -217,7 +230,7 @@ def run_trace(
     output: Output,
     budget: Budget,
     driver: Annotated[
-        str | None, make_option("--driver", "Coordinate that counts as the input.", "NAME")
+        str | None, make_option("--driver", "Coordinate that drives the mechanism.", "NAME")
     ] = None,
     frame: options.Frames = None,
     start: options.Start = None,
@@ -313,20 +326,23 @@ def run_plot(
         ),
     ] = None,
     axes: Annotated[
-        list[str] | None, make_option("--axes", "Draw and name its axes; or all; repeated.", "NAME")
+        list[str] | None,
+        make_option(
+            "--axes", "Frame whose axes are drawn and named, or all; can be repeated.", "NAME"
+        ),
     ] = None,
     angles: Annotated[
-        bool, make_option("--angles", "Arcs of the coordinates, from where they are measured.")
+        bool, make_option("--angles", "Draw each angle as an arc from its zero.")
     ] = False,
     dimensions: Annotated[bool, make_option("--dimensions", "Lengths of the links.")] = False,
     motion: Annotated[
         bool, make_option("--motion", "Arrows for the freedoms of the joints.")
     ] = False,
     workspace: Annotated[
-        str | None, make_option("--workspace", "Shade what this frame reaches.", "NAME")
+        str | None, make_option("--workspace", "Shade the region that this frame reaches.", "NAME")
     ] = None,
     tree: Annotated[
-        bool, make_option("--tree", "In place of that the tree of bodies and joints.")
+        bool, make_option("--tree", "Draw the tree of bodies and joints instead.")
     ] = False,
 ) -> None:
     """Draw a system at a configuration, or its tree.
@@ -368,13 +384,17 @@ def run_spaces(
     task: Annotated[
         str | None,
         make_option(
-            "--task", "What of the frame is drawn: xy, xz, yz or direction (of its z axis).", "NAME"
+            "--task",
+            "Task space to draw: xy, xz, yz, or direction (of the z axis of the frame).",
+            "NAME",
         ),
     ] = None,
     position_only: options.PositionOnly = False,
     sample: Annotated[
         float | None,
-        make_option("--sample", "So many random configurations, uniform in a stated measure.", "N"),
+        make_option(
+            "--sample", "Number of random configurations to draw, uniform in a stated measure.", "N"
+        ),
     ] = None,
     rng: options.Rng = None,
 ) -> None:

@@ -86,7 +86,7 @@ def run_tour(
     ] = None,
     every: Annotated[bool, make_option("--all", "Print all sections without pauses.")] = False,
     pictures: Annotated[
-        Path | None, make_option("--pictures", "Draw the pictures into this folder.", "FOLDER")
+        Path | None, make_option("--pictures", "Write the pictures into this folder.", "FOLDER")
     ] = None,
 ) -> None:
     """Walk through the lecture: its sections, their code, and what comes out. Enter goes on, q

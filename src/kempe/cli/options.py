@@ -29,7 +29,7 @@ _FREE = f"'free': what nothing ties to the ground moves freely ({join_titles(lis
 Base = Annotated[str | None, make_option("--base", _FREE, "free", _READ)]
 Root = Annotated[
     str | None,
-    make_option("--root", "Link to take as root where FILE leaves it open.", "LINK", _READ),
+    make_option("--root", "Link to take as root, if FILE does not determine it.", "LINK", _READ),
 ]
 _MODEL = (
     f"The model to read where FILE has several ({join_titles(list_readable_formats('model'))})."
@@ -39,7 +39,12 @@ _FOLDER = "Folder with packages or meshes; can be repeated."
 PackageDirs = Annotated[list[Path] | None, make_option("--package-dir", _FOLDER, "FOLDER", _READ)]
 Xacro = Annotated[
     bool,
-    make_option("--xacro", "Expand xacro first: a program, so only if you trust it.", None, _READ),
+    make_option(
+        "--xacro",
+        "Expand xacro first. It runs a program: use it only for files that you trust.",
+        None,
+        _READ,
+    ),
 ]
 _ARGUMENT = "Value of a <xacro:arg> of FILE, which is then expanded; can be repeated."
 XacroArguments = Annotated[
@@ -74,9 +79,7 @@ Film = Annotated[
 ]
 Page = Annotated[
     Path | None,
-    make_option(
-        "--html", "Write a page in which it can be turned, and moves, without network.", "FILE"
-    ),
+    make_option("--html", "Write an interactive page that needs no network.", "FILE"),
 ]
 
 
@@ -84,9 +87,11 @@ Page = Annotated[
 
 TimeLimit = Annotated[
     float | None,
-    make_option("--time-limit", "Seconds after which it ends with what was done.", "SECONDS"),
+    make_option(
+        "--time-limit", "Seconds after which the command ends with the result so far.", "SECONDS"
+    ),
 ]
-Rng = Annotated[int | None, make_option("--rng", "Number that fixes what is random (0).", "N")]
+Rng = Annotated[int | None, make_option("--rng", "Seed of the random numbers (0).", "N")]
 Starts = Annotated[int | None, make_option("--starts", "Random starts of the search (64).", "N")]
 Threads = Annotated[
     int | None, make_option("--threads", "Threads; all processors if not given.", "N")
@@ -98,11 +103,11 @@ Scheduler = Annotated[
 
 # ---- what the question is about
 
-_ABOUT = make_option("--frame", "Body or frame that the question is about.", "NAME")
+_ABOUT = make_option("--frame", "Body or frame of the robot that the command is about.", "NAME")
 Frame = Annotated[str | None, _ABOUT]
 OneFrame = Annotated[str, _ABOUT]
 FrameOrAll = Annotated[
-    str | None, make_option("--frame", "Body or frame; of fk all bodies if not given.", "NAME")
+    str | None, make_option("--frame", "Body or frame; without it, fk computes all bodies.", "NAME")
 ]
 Frames = Annotated[
     list[str] | None,
@@ -125,14 +130,14 @@ Start = Annotated[
     str | None,
     make_option(
         "--start,--near,--seed",
-        "Where the search starts: a posture, or values as --q of fk.",
+        "Start of the search: a posture, or values as for --q of fk.",
         "START",
     ),
 ]
 Hold = Annotated[
     list[str] | None, make_option("--hold", "Hold a coordinate; can be repeated.", "NAME=VALUE")
 ]
-NoLimits = Annotated[bool, make_option("--no-limits", "Leave joint limits out.")]
+NoLimits = Annotated[bool, make_option("--no-limits", "Ignore joint limits.")]
 _ROWS = "x,y,z,roll,pitch,yaw (fixed axes) or x,y,z; or a .csv or .npy file, a target a row."
 Target = Annotated[str | None, make_option("--target,--targets", _ROWS, "VALUES")]
 Poses = Annotated[
@@ -148,7 +153,9 @@ TaskFile = Annotated[
 Task = Annotated[
     str | None,
     make_option(
-        "--task", "What counts: pose, position, orientation, direction or position_axis.", "TASK"
+        "--task",
+        "Part of the target to reach: pose, position, orientation, direction or position_axis.",
+        "TASK",
     ),
 ]
 Axis = Annotated[
@@ -168,7 +175,7 @@ Dimensions = Annotated[
     str | None,
     make_option(
         "--tolerance",
-        "What dimensions may be off by, in metres and radians, or 'measured'.",
+        "Tolerance of the dimensions, in metres and radians, or 'measured'.",
         "NUMBER",
     ),
 ]

@@ -102,7 +102,9 @@ def run_ik(
     prefer: Annotated[
         str | None,
         make_option(
-            "--prefer", "What tasks leave free: 'nearest', 'mid' or 'manipulability'.", "WHAT"
+            "--prefer",
+            "Choice among the configurations that satisfy the tasks: 'nearest', 'mid' or 'manipulability'.",
+            "WHAT",
         ),
     ] = None,
     clearance: Annotated[
@@ -129,7 +131,7 @@ def run_ik(
         raise InputError("--hold is for all solutions: add --all")
     if prefer is not None and tasks is None:
         raise InputError(
-            "--prefer is for --tasks: it says what is made least in what they leave free"
+            "--prefer needs --tasks: it chooses among the configurations that satisfy them"
         )
     only = {"--task": task, "--axis": axis, "--position-only": position_only, "--all": all}
     wanted, _ = _read_wanted(system, output.deg, frame, target, tasks, position_only, only)
@@ -185,10 +187,12 @@ def run_path(
     ] = False,
     cost: Annotated[
         str,
-        make_option("--cost", "What the best path has: motion, limits, singularities.", "WORD"),
+        make_option(
+            "--cost", "Cost that the best path minimises: motion, limits or singularities.", "WORD"
+        ),
     ] = "motion",
     closed: Annotated[
-        bool, make_option("--closed", "The path ends in its first configuration.")
+        bool, make_option("--closed", "Return to the first configuration at the end of the path.")
     ] = False,
     tolerance: options.Tolerance = None,
 ) -> None:
@@ -282,7 +286,8 @@ def run_workspace(
     budget: Budget,
     frame: options.OneFrame,
     n: Annotated[
-        float | None, make_option("-n,--samples", "How many samples are drawn: 1e8 (1e7).", "N")
+        float | None,
+        make_option("-n,--samples", "Number of samples, such as 1e8 (default 1e7).", "N"),
     ] = None,
     cells: Annotated[
         str | None,
@@ -296,7 +301,7 @@ def run_workspace(
         str | None,
         make_option(
             "--kind",
-            "Which places: reachable, constant-orientation, dexterous; or orientation.",
+            "Kind of workspace: reachable, constant-orientation, dexterous or orientation.",
             "KIND",
         ),
     ] = None,
@@ -427,7 +432,7 @@ def run_map(
     rows: Annotated[
         Path,
         typer.Argument(
-            metavar="ROWS", help="A .parquet, .npy or .csv file, or Zarr: a question a row."
+            metavar="ROWS", help="A .parquet, .npy or .csv file, or Zarr, with one problem a row."
         ),
     ],
     out: Annotated[
@@ -436,17 +441,19 @@ def run_map(
     frame: options.FrameOrAll = None,
     columns: Annotated[
         str | None,
-        make_option(
-            "--columns", "Columns that count, or the names of columns that have none.", "A,B,..."
-        ),
+        make_option("--columns", "Columns to read, or names for columns without names.", "A,B,..."),
     ] = None,
     form: Annotated[
         str | None,
         make_option(
-            "--form", "Of fk: matrix, 3x4, position or position_quat_wxyz (matrix).", "FORM"
+            "--form",
+            "Form of the poses of fk: matrix (default), 3x4, position or position_quat_wxyz.",
+            "FORM",
         ),
     ] = None,
-    float32: Annotated[bool, make_option("--float32", "Of fk: write numbers of 32 bits.")] = False,
+    float32: Annotated[
+        bool, make_option("--float32", "Write the poses of fk as 32-bit numbers.")
+    ] = False,
     task: options.Task = None,
     axis: options.Axis = None,
     start: options.Start = None,
@@ -503,21 +510,21 @@ def run_singularities(
         str | None,
         make_option(
             "--task",
-            "What counts: pose, position, orientation, xy, xz, yz or direction.",
+            "Part of the motion of the frame: pose, position, orientation, xy, xz, yz or direction.",
             "TASK",
         ),
     ] = None,
     inputs: Annotated[
         str | None,
         make_option(
-            "--inputs", "Driven coordinates of closed loops. Default: as FILE says.", "A,B"
+            "--inputs", "Driven coordinates of closed loops (default: those of FILE).", "A,B"
         ),
     ] = None,
     at: Annotated[
         list[str] | None,
         make_option(
             "--at",
-            "Configuration from which the nearest is wanted; can be repeated.",
+            "Configuration to which the nearest singular one is sought; can be repeated.",
             "NAME=VALUE",
         ),
     ] = None,
@@ -602,11 +609,13 @@ def run_place(
     box: Annotated[
         list[str],
         make_option(
-            "--box", "Where the base may be: x, y, z or yaw. Can be repeated.", "NAME=LOW,HIGH"
+            "--box",
+            "Range of a coordinate of the base: x, y, z or yaw; can be repeated.",
+            "NAME=LOW,HIGH",
         ),
     ],
     cells: Annotated[
-        int, make_option("--cells", "Values that are tried along each range (11).", "N")
+        int, make_option("--cells", "Number of values tried in each range (11).", "N")
     ] = 11,
     position_only: options.PositionOnly = False,
 ) -> None:

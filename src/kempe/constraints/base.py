@@ -214,8 +214,8 @@ def _check_plane(p: Array, dim: int, what: str) -> Array:
     """Refuse points off the plane of a planar system; return the others. Errors: `InputError`."""
     if dim == 2 and np.any(np.abs(p[..., 2]) > RIGID):
         raise InputError(
-            f"{what} leaves the plane of the system: its z is up to "
-            f"{np.nanmax(np.abs(p[..., 2])):.6g}"
+            f"{what} leaves the plane of the system: its z must be 0, and is up to "
+            f"{np.nanmax(np.abs(p[..., 2])):.6g} m"
         )
     return p
 

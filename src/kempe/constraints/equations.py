@@ -503,8 +503,8 @@ class Call:
         found, _ = call_function(self.function, given, self.time, self.what)
         if len(found) != self.size:
             raise InputError(
-                f"{self.what} gave {format_count(self.size, 'number')}, and gives {len(found)} at "
-                f"{format_inputs(given)}"
+                f"{self.what} returned {format_count(self.size, 'number')} first and {len(found)} at "
+                f"{format_inputs(given)}; the number of values must not change"
             )
         return found
 
@@ -634,7 +634,7 @@ class _WrittenKind(Constraint):
         clock = (TIME,) if time else ()
         if time and TIME in of:
             raise InputError(
-                f"{self.message_name} has a coordinate {TIME!r} besides the time, which is called so"
+                f"{self.message_name} has a coordinate named {TIME!r}, which is the name of the time"
             )
         words = [w for w in list_words(written) if w not in clock]
         parameters = tuple(words if known is None else known)

@@ -160,7 +160,7 @@ class _Reader:
                 **_make_turn(row),
             )
             if row["mocap"]:
-                said = "it is a mocap body, which a program moves; it is held where it stands"
+                said = "it is a mocap body, whose pose a program sets; it is fixed at its pose in the file"
                 self.findings.add_note(said, f"body {name!r}", where)
         elif len(joints) == 1:
             self._read_joint(parent, name, row, *joints[0])

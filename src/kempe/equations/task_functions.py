@@ -211,7 +211,7 @@ class Whole:
         )
         self.count = found.size
         if not self.count:
-            raise InputError(f"{of.label} gives no numbers at all; it must give one or more")
+            raise InputError(f"{of.label} returns no numbers; it must return at least one")
         self.how = ""
         if self.supplied is not None:
             rows: Callable[[Array], Any] = self.call_derivative

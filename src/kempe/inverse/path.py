@@ -855,7 +855,7 @@ class FollowedPath(PathSteps):
             return f"a point from which {name!r} does not let it follow"
         if ratio < SINGULAR:
             return f"a singularity (ratio of singular values {ratio:.1g})"
-        return "a point from which it cannot be followed"
+        return "a point from which no further step was found"
 
     def find_forbidding_constraint(self, problem: Demands, q: Array) -> str:
         """Find the constraint that repeats a row of the targets at q and elsewhere; '' if none."""

@@ -515,7 +515,7 @@ class Mobility(Report):
 
         if self.wrenches is None:
             raise InputError(
-                f"{self.name} cannot be closed here: nothing is known of how its bodies move"
+                f"the loops of {self.name} do not close here, so the motion of its bodies is not defined"
             )
         found = find_relative_motion(self.wrenches.system, self.wrenches.q, body, to)
         return replace(found, within=found.within or self.within)

@@ -73,7 +73,7 @@ def _describe_outcome(c: Classification) -> str:
             f"motions reach at least {format_count(c.reachable_dimension, 'dimension')} of "
             f"{c.position_dof}"
         )
-        return f"{both}: {least}, whether more is beyond the digits of numbers"
+        return f"{both}: {least}; whether more cannot be decided in double precision"
     if c.kind == "integrable":
         lost = c.integrals or 0
         keep = "keeps its value" if lost == 1 else "keep their values"
@@ -97,9 +97,7 @@ def _describe_kind(c: ConstraintKind) -> str:
     """Describe the kind of one constraint, regardless of contact."""
     count = format_count(len(c.rows), "row")
     if c.kind == "unilateral":
-        return (
-            f"unilateral: {count} held on one side, which takes no freedom while it does not touch"
-        )
+        return f"unilateral: {count} held on one side, which takes no freedom while there is no contact"
     if c.kind == "holonomic":
         takes = (
             f"takes {format_count(c.independent, 'freedom')}"
@@ -115,7 +113,7 @@ def _describe_kind(c: ConstraintKind) -> str:
             "alone, brackets of its velocities reach at least "
             f"{format_count(c.reaches or 0, 'dimension')}, {growth}"
         )
-        return f"{least}; whether it is integrable is beyond the digits of numbers"
+        return f"{least}; whether it is integrable cannot be decided in double precision"
     if c.kind == "integrable":
         held = format_count(c.independent, "function")
         stay = format_count(c.reaches or 0, "dimension")

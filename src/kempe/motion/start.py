@@ -361,8 +361,8 @@ def explain_freedom(equations: Closure, matrix: Array, drivers: Sequence[str]) -
     own = null_space[:, [n in named for n in system.structure.velocity_names]]
     enough = Spectrum(own, 1.0).compute_rank(Level.GENERIC) >= many if named else False
     head = (
-        f"to first order {system.name} has {format_count(count, 'freedom')} here, more than are "
-        f"driven; {still}: "
+        f"{system.name} has {format_count(count, 'freedom')} to first order here, more than the "
+        f"driven coordinates; {still}: "
     )
     if not named:
         return (

@@ -240,7 +240,8 @@ def compute_mechanical_advantage(
     kind, name = _find_output(system, output)
     if (kind == "frame") != (direction is not None):
         raise InputError(
-            f"output {name!r} is a {kind}; a frame needs a direction, a coordinate none"
+            f"output {name!r} is a {kind}: "
+            + ("give a direction" if kind == "frame" else "leave the direction out")
         )
     push = np.zeros(3) if direction is None else read_reals(direction, "direction")
     if kind == "frame" and (push.shape != (3,) or not np.linalg.norm(push) > 0.0):

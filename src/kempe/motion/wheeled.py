@@ -331,8 +331,8 @@ def _place_axle(axle: Axle, samples: list[Array]) -> Axle:
     size = math.hypot(a[0], a[1])
     if size < SAME * abs(a[2]):
         raise UnsupportedError(
-            f"{system.name}: {axle.body!r} cannot turn; its heading stays, and that is a "
-            "constraint on its position, no nonholonomic one"
+            f"{system.name}: {axle.body!r} cannot turn, so its rolling is a constraint on positions; "
+            "a manoeuvre needs a nonholonomic constraint"
         )
     ahead = np.array([a[1], -a[0]]) / size
     foot = a[2] / size * ahead

@@ -117,9 +117,8 @@ class CapabilityMap(Study):
             return ""
         what = "a position and a direction have" if free else "a pose has"
         return (
-            f"{what} {found.m} equations, and this frame moves in "
-            f"{format_count(found.generic_rank, 'freedom')} only: give the directions that it can "
-            "have"
+            f"{what} {found.m} equations, but this frame has only "
+            f"{format_count(found.generic_rank, 'freedom')}: give the directions that it can take"
         )
 
     def plot(self, ax: Axes | None = None, height: float | None = None) -> Axes:

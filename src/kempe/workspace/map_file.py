@@ -144,8 +144,8 @@ class RowJob:
         if missing and has_loops(self.system):
             every = ", ".join(self.system.coordinate_names)
             raise InputError(
-                f"column {missing[0]!r} is missing, which the loops of {self.system.name!r} "
-                f"decide: give all of {every}, or map assemble first"
+                f"column {missing[0]!r} is missing: give all of {every}, or compute the missing "
+                f"coordinates of the loops of {self.system.name!r} first, by the verb assemble"
             )
         return make_q(self.system, self.name_columns(rows))
 
