@@ -892,16 +892,13 @@ class Page:
         """Move the camera to have points (n, 3) in sight, unless someone looks at a detail."""
         camera = self.client.camera
         up = self.nodes.drawn.upright
-        place = get_view(camera)
-        aspect = camera.image_width / camera.image_height
-        if not is_in_sight(self.framed, *place, up, camera.fov, aspect) or is_in_sight(
-            points, *place, up, camera.fov, aspect
-        ):
+        place, at = get_view(camera)
+        seen = up, camera.fov, camera.image_width / camera.image_height
+        if not is_in_sight(self.framed, place, at, *seen) or is_in_sight(points, place, at, *seen):
             return
         every = np.concatenate([self.framed, points])
-        place = fit_camera(every, place[0] - place[1], up, camera.fov, aspect)
         with self.client.atomic():
-            camera.position, camera.look_at = place
+            camera.position, camera.look_at = fit_camera(every, place - at, *seen)
 
     def uncover_system(self, camera: Any) -> None:
         """Move a camera that nobody has moved, so that it suits the picture's present size.
