@@ -321,7 +321,7 @@ def test_a_function_that_changes_its_size_is_named_with_the_call():
 
     m = two_bars()
     m.equation("e", growing, of=("A",))
-    with pytest.raises(InputError, match="'e' gave 1 number, and gives 2 at A = 60.0"):
+    with pytest.raises(InputError, match="'e' returned 1 number first and 2 at A = 60.0"):
         closure_rows.compute_residual(m.build(), [60.0, 0.0])
 
 
