@@ -78,6 +78,7 @@ def test_a_path_of_targets():
     assert np.isfinite(rows[:60]).all() and not np.isfinite(rows[-1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "number", "words"),
     [
@@ -98,6 +99,7 @@ def test_a_traced_motion(where, number, words):
     assert len(rows) and np.abs(s.loops.closure_error(rows[:, 1 : 1 + s.nq])).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_assembly_modes():
     stops = ("estimate_share_found", "mix_configurations")
     before = "".join(at_call(f"kempe.assemble.modes.{name}", 1) for name in stops)
@@ -265,6 +267,7 @@ def test_long_words_do_not_make_long_messages(words, json):
     assert done.code == 2 and 0 < len(done.err + done.out) < 3000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("columns", ["0", "1", "-7", "99999999999", "9" * 5000, "wide", "\u0663"])
 def test_help_is_whole_in_any_width(columns):
     """A width of 0 printed nothing, and a wide one took all memory."""

@@ -18,6 +18,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_map_is_made_drawn_and_looked_up():
     pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra view)")
     done = Result("workspace", *FEW, "-o", "map.zarr", "--plot", "map.png", "--json").json()

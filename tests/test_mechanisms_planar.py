@@ -280,6 +280,7 @@ def test_the_shaky_structures_have_no_play(name):
 # ------------------------------------------------------------------ one loop: closed forms
 
 
+@pytest.mark.slow
 def test_slider_crank():
     angles = steps([80, 130, 180, 250])
     found = path("slider_crank", "A", angles, "slider")
@@ -292,6 +293,7 @@ def test_slider_crank():
     )
 
 
+@pytest.mark.slow
 def test_trammel():
     feet = [0.4, 0.45, 0.2]
     tops = [np.sqrt(0.25 - x * x) for x in feet]
@@ -303,6 +305,7 @@ def test_trammel():
     )
 
 
+@pytest.mark.slow
 def test_parallelogram_and_antiparallelogram():
     angles = steps([70, 120, 160])
     circle = [0.1 * turn(t) + 0.15 + 0.05j for t in angles]
@@ -328,6 +331,7 @@ def test_kite():
         assert atan2(X[1], X[0]) == pytest.approx(t / 2, abs=1e-11)
 
 
+@pytest.mark.slow
 def test_straight_line_four_bars_touch_their_line():
     """Chebyshev: heights 4 at x = 2, 0 and 4; Hoecken: at 90, 180 and 270 degrees; both at most
     0.01 off in between.
@@ -341,6 +345,7 @@ def test_straight_line_four_bars_touch_their_line():
     assert 0.005 < np.abs(np.imag(found) - 4).max() < 0.01
 
 
+@pytest.mark.slow
 def test_evans():
     """Scott Russell's end point to 0.3 mm over a stroke of half a metre."""
     angles = steps([30, 15, 0, -15, -30])
@@ -354,6 +359,7 @@ def test_evans():
     assert_same_places(found.tolist(), expected)
 
 
+@pytest.mark.slow
 def test_watt_curve():
     """The polar equation of Watt's curve, squared so that both signs fit."""
     a = 0.13
@@ -382,6 +388,7 @@ def test_five_bar():
         )
 
 
+@pytest.mark.slow
 def test_double_parallelogram_and_row_move():
     angles = steps([80, 130, -40])
     circle = [0.2 * turn(t) + 0.3 + 0.1j for t in angles]
@@ -390,6 +397,7 @@ def test_double_parallelogram_and_row_move():
     assert_same_places(path("row_of_four_bars", "A0", angles, "end"), [3 + turn(t) for t in angles])
 
 
+@pytest.mark.slow
 def test_scissor():
     slides = [0.3, 0.2, 0.45]
     assert_same_places(

@@ -312,6 +312,7 @@ def test_the_four_bar_in_space_moves_as_in_the_plane():
         np.testing.assert_allclose(system.fk(q), plane.fk(q), rtol=0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_rssr_crank_turns_fully_and_the_rocker_follows_its_equation():
     """The ends of the coupler keep their distance: u cos(D) + v sin(D) = w, with two roots for each
     crank angle.
@@ -467,6 +468,7 @@ def forty(
     return np.array(found)
 
 
+@pytest.mark.slow
 def test_dietmaiers_platform_has_forty_poses():
     """Dietmaier, 1998. From the lengths of the posture and the file's geometry, by Newton from 4000
     random poses.

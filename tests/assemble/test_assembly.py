@@ -475,6 +475,7 @@ def test_names_that_stand_twice_are_refused():
             call()
 
 
+@pytest.mark.slow
 def test_large_systems_are_sparse():
     """The envelope of J J^T of a row of 200 four-bars grows with their number, not with its square."""
 
@@ -549,6 +550,7 @@ def from_within(bays: int, size: float, rng: np.random.Generator, count: int) ->
     assert answer.success.all() and max(map(rods_open, answer.q)) < 1e-9
 
 
+@pytest.mark.slow
 def test_many_loops_close_from_far_away(hunt):
     """Starts that are drawn as a whole closed none of four trusses of 300 bays from within 1 m."""
     from_within(150, 3.0, hunt.rng(), hunt.cases(4))

@@ -44,6 +44,7 @@ def count(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_first_answers_close_the_loops_with_few_decompositions(name: str, count: list[int]):
     make, loops, freedoms, moved, by = FILES[name]
@@ -73,6 +74,7 @@ def test_first_answer_of_cassie(count: list[int]):
     assert np.abs(closure_error(system, answer.q)).max() < 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FILES)
 def test_files_with_many_loops_are_drawn(name: str):
     system = kempe.load(FILES[name][0]().text)

@@ -301,6 +301,7 @@ def test_random_chains_of_dyads(seed):
     check(random_chain(seed))
 
 
+@pytest.mark.slow
 @given(seeds)
 def test_any_body_can_be_the_ground(seed):
     """Then rings close that do not contain the ground."""
@@ -697,6 +698,7 @@ def test_the_plan_is_made_once_and_can_be_pickled():
     assert np.array_equal(plan.solve([0.4])[0], plan_of(system, "A").solve([0.4])[0])
 
 
+@pytest.mark.slow
 def test_many_loops_are_planned_without_recursion():
     m = Mechanism("row", dim=2)
     before = m.ground

@@ -331,6 +331,7 @@ def test_a_mechanism_drawn_flat_moves_when_rounded(seed, digits):
     assert found is not None and found.freedoms == 1 and found.tolerance < 3.0 * 10.0**-digits
 
 
+@pytest.mark.slow
 def test_hunt_mechanisms_drawn_flat_move_when_rounded(hunt):
     rng = hunt.rng()
     m = exact("double_parallelogram").mechanism

@@ -423,6 +423,7 @@ def bennett() -> System:
     return m.build()
 
 
+@pytest.mark.slow
 def test_redundant_equations_are_no_obstacle():
     s = bennett()
     rng = np.random.default_rng(1)

@@ -248,6 +248,7 @@ def holds(modes: Modes, q: np.ndarray) -> bool:
     return bool(len(modes) and get_metric(modes.system).compute_distances(modes.q, q).min() < 1e-5)
 
 
+@pytest.mark.slow
 def test_hunt_a_root_at_the_square_root_of_rounding_is_kept(hunt):
     """A slide at right angles to its link, which is a double root, then a link without length on
     the slider.
@@ -316,6 +317,7 @@ def check_integer_chain(system: System, starts: np.random.Generator) -> int:
     return modes.complete
 
 
+@pytest.mark.slow
 def test_hunt_what_is_complete_has_the_configuration_by_which_it_was_drawn(hunt):
     rng = hunt.rng()
     complete = 0

@@ -133,6 +133,7 @@ def test_a_known_spin_is_none():
     assert "idle" not in modes.status and not modes.freedoms.any()
 
 
+@pytest.mark.slow
 def test_a_search_that_ends_early_has_all_mirror_images():
     """Starts that are at an end are no reason to leave out what is known for nothing."""
     rng = np.random.default_rng(8)

@@ -98,6 +98,7 @@ WAYS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", some(SHAPES, 6))
 @pytest.mark.parametrize("way", WAYS)
 def test_work_grows_as_the_number_of_bodies(way, shape):
@@ -167,6 +168,7 @@ class Circle:
         self.own = self
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [lambda: urdf(3, "chain"), lambda: write_toml(built(3, "chain"))])
 def test_loads_leave_the_garbage_collector_to_its_work(write):
     """Cycles that are dropped between loads are collected while the loads go on."""
@@ -179,6 +181,7 @@ def test_loads_leave_the_garbage_collector_to_its_work(write):
     assert sum(x() is not None for x in dropped) < len(dropped) / 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [lambda: urdf(20, "tree"), lambda: write_toml(built(20, "tree"))])
 def test_a_dropped_system_and_its_reading_need_no_garbage_collector(write):
     text = write()
@@ -282,6 +285,7 @@ def alike(a: object, b: object) -> bool:
     return a == b
 
 
+@pytest.mark.slow
 def test_lines_are_read_as_tomllib_reads_them(hunt, monkeypatch):
     """Data, errors, and the places of tables."""
     monkeypatch.setattr(toml_document, "MANY", 0)

@@ -1115,6 +1115,7 @@ def test_systems_are_values():
     assert s != "arm"
 
 
+@pytest.mark.slow
 def test_content_hash_is_the_same_in_every_process():
     import subprocess
     import sys

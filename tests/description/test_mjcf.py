@@ -570,6 +570,7 @@ def test_files_for_other_versions_name_the_installed_one(changed: str):
     assert f"for another version than MuJoCo {mujoco.__version__}, which is installed" in said
 
 
+@pytest.mark.slow
 def test_problems_of_included_files_have_their_file_and_line(tmp_path: Path):
     path = written(
         tmp_path,
@@ -632,6 +633,7 @@ def test_assets_are_never_read(tmp_path: Path):
     assert read_mechanism(text).build().coordinate_names == ("h",)
 
 
+@pytest.mark.slow
 def test_endings_and_contents(tmp_path: Path):
     for name in ("m.xml", "m.mjcf", "m.urdf", "m"):
         (tmp_path / name).write_text(TREES["a chain"])
@@ -660,6 +662,7 @@ def test_a_compiler_without_end_is_stopped(monkeypatch):
     assert "did not finish in 1 s" in refused(text) or "memory" in refused(text)
 
 
+@pytest.mark.slow
 def test_damaged_files_never_crash():
     rng = random.Random(5)
     texts = [TREES["axes that are oblique and do not meet"], TREES["frames, replicas and classes"]]

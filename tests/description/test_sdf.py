@@ -342,6 +342,7 @@ def test_before_version_1_7_a_frame_may_have_the_name_of_a_link():
     assert "another link of this name" in refused(text.replace("1.6", "1.7"))
 
 
+@pytest.mark.slow
 def test_poses_over_a_long_chain_are_exact_and_fast():
     n = 3000
     links = link("l0") + "".join(link(f"l{i}", "0 0 1 0 0 0", f"l{i - 1}") for i in range(1, n))
@@ -470,6 +471,7 @@ def test_includes_that_never_end(tmp_path: Path):
         read_mechanism(path)
 
 
+@pytest.mark.slow
 def test_includes_that_grow_without_bound(tmp_path: Path):
     files = {
         f"f{i}.sdf": model(

@@ -41,6 +41,7 @@ def same_poses(m: Mechanism, seed: int = 0) -> None:
         np.testing.assert_allclose(Y, X, rtol=0, atol=1e-12 * max(1.0, np.abs(X).max()))
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(150))
 @given(mechanisms())
 def test_any_mechanism_comes_back_or_is_refused(m: Mechanism):

@@ -131,6 +131,7 @@ def arm(tmp_path):
     return tmp_path / "arm.urdf.xacro"
 
 
+@pytest.mark.slow
 def test_arguments_given_to_load(arm):
     system = kempe.load(arm, xacro={"name": "left", "kind": "long"})
     assert system.name == "left" and system.body_names == ("base", "fore")

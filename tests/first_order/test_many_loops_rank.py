@@ -73,6 +73,7 @@ def test_a_rank_that_is_not_clearly_full_is_left_to_the_dense_decomposition(monk
     assert (banded.rank, banded.nullity) == (dense.rank, dense.nullity)
 
 
+@pytest.mark.slow
 def test_mobility_of_a_long_row_takes_no_large_decomposition(monkeypatch):
     """Counted are the entries of the largest matrix whose singular values are computed."""
     largest = [0]

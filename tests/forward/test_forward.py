@@ -45,6 +45,7 @@ def arm(n: int = 7) -> System:
 # ------------------------------------------------------------------ poses
 
 
+@pytest.mark.slow
 @given(graph=graphs(most=12), seed=st.integers(0, 10**6), large=st.sampled_from([1.0, 100.0]))
 @settings(max_examples=examples(150))
 def test_poses_of_random_systems(graph: Graph, seed, large):

@@ -100,6 +100,7 @@ def mujoco_agrees(mujoco: Any, robot: System, model: Any, seed: int = 0) -> int:
 # ---- all robots of a package of files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", some([None, "free"], 2))
 def test_robots_in_pinocchio(base):
     pin = pytest.importorskip("pinocchio")
@@ -115,6 +116,7 @@ def test_robots_in_pinocchio(base):
     assert done > 60
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("base", some([None, "free"], 2))
 def test_robots_in_mujoco(base):
     mujoco = pytest.importorskip("mujoco")

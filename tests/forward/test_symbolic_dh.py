@@ -65,6 +65,7 @@ def test_the_published_table_of_the_panda():
         )
 
 
+@pytest.mark.slow
 def test_random_chains(hunt):
     """Axes in space in any direction, some of them parallel or meeting, turns and slides, the base
     anywhere.
@@ -142,6 +143,7 @@ def test_the_text_says_where_the_first_and_the_last_frame_are():
     assert "frame" not in str(kempe.load("two_link").symbolic.to_dh("e"))
 
 
+@pytest.mark.slow
 def test_axes_that_are_nearly_parallel(hunt):
     """Angles down to a few 1e-8 are in the table: six decimals of pi / 2 are off by 3.3e-7, which a
     long arm shows.

@@ -242,6 +242,7 @@ def test_latex_of_names_with_signs_that_latex_reads(name):
     assert r"\mathrm{x\wedge 2 \& " in system.symbolic.steps("e").latex()
 
 
+@pytest.mark.slow
 def test_the_jacobian_of_four_general_joints_is_not_multiplied_out():
     """That takes five times as long with each joint, a minute for five of them."""
     m = Mechanism("cad")

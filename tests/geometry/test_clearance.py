@@ -211,6 +211,7 @@ URDF = """<robot name="r"><link name="base"/>
 <joint name="k" type="fixed"><parent link="base"/><child link="rock"/></joint></robot>"""
 
 
+@pytest.mark.slow
 def test_meshes_are_scaled_and_placed(tmp_path):
     pytest.importorskip("trimesh")
     (tmp_path / "pyramid.stl").write_text(PYRAMID)
@@ -272,6 +273,7 @@ def test_an_obstacle_is_a_body_that_is_kept_by_files(tmp_path):
         assert math.isclose(kempe.load(tmp_path / name).geometry.clearance([0.2]), d, abs_tol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", ["ur5_robot.urdf", "panda.urdf", "solo12.urdf"])
 def test_robots_as_in_pinocchio(robot):
     """Its own reading of the file and of the meshes, whose hulls it makes itself."""

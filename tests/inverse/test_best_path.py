@@ -60,6 +60,7 @@ def test_whole_turns_lead_past_limits(turns):
     assert np.abs(np.diff(p.q, axis=0)).max() < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_best_path_by_a_cost_is_no_worse_than_those_by_others(seed):
     s, q, X = wind(seed, 0.4, 40)
@@ -115,6 +116,7 @@ def check_closed(s, p, X, frame):
     assert (p.q >= s.lower - 1e-12).all() and (p.q <= s.upper + 1e-12).all()
 
 
+@pytest.mark.slow
 def test_a_redundant_arm_returns(hunt):
     """The shortest steps alone do not; going round once more repeats the first round."""
     s = kempe.load("panda")

@@ -324,6 +324,7 @@ def test_single_targets_stop_when_the_time_is_up(looks, task):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_hard_targets_do_not_take_the_time_of_easy_ones(threads, looks):
     """All targets get their first starts before the clock ends the search for those that cannot be
@@ -419,6 +420,7 @@ def test_a_redundant_arm_whose_time_is_up_says_so_at_every_look(most, monkeypatc
         assert answer.late and not len(answer) and answer.code is Status.OUT_OF_TIME
 
 
+@pytest.mark.slow
 def test_chains_that_are_singular_everywhere_take_no_numerical_search_at_each_value_of_a_spare_joint(
     monkeypatch,
 ):

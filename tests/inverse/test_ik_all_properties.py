@@ -54,6 +54,7 @@ def check(arm, seed: int, number: int = 6) -> None:
         assert not good or nearest(arm, found, wanted) < SAME
 
 
+@pytest.mark.slow
 @given(rows_=tables(), seed=SEEDS)
 @settings(max_examples=examples(60))
 def test_six_turns_of_any_structure(rows_, seed):
@@ -78,6 +79,7 @@ def test_three_turns_for_a_position(rows_, seed):
     check(arm, seed)
 
 
+@pytest.mark.slow
 @given(rows_=tables(5), seed=SEEDS)
 def test_five_turns_for_a_pose(rows_, seed):
     arm = arms.table("any", rows_, "", 16)

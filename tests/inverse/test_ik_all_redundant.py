@@ -423,6 +423,7 @@ def test_what_is_held_beyond_its_limits_is_outside(name, hunt):
         assert all(is_reported(ik_all(robot, x, frame, fixed={joint: value})) for x in X)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "joint"), [("panda", "panda_joint7"), ("iiwa14", "q3")])
 def test_bound_calls_with_held_joints_answer_as_others(name, joint):
     """The second plain call goes by the bound form, one with a start or an unusual value does not."""

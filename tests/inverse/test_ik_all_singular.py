@@ -305,6 +305,7 @@ def test_target_on_the_first_axis():
         assert str(f).startswith("q1 is free while q2 = ")
 
 
+@pytest.mark.slow
 def test_slides():
     """Two slides along one line: only their sum counts, without end."""
     m = kempe.Mechanism("slides")
@@ -355,6 +356,7 @@ def test_redundant_arms(name):
     assert find_families(a.system.ik_all(X, "tool", fixed={joint: q[6]}), 0)[0] == []
 
 
+@pytest.mark.slow
 def test_more_freedoms_than_one():
     """Six joints for a position: three freedoms."""
     q = np.array([0.1, -0.7, 0.9, 0.4, 0.5, 0.6])

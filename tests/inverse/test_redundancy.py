@@ -442,6 +442,7 @@ def test_position_with_four_joints_in_space():
         assert np.array_equal(found.inside.sum(axis=1), sweep.inside.sum(axis=1))
 
 
+@pytest.mark.slow
 def test_more_freedoms_than_one():
     system = iiwa()
     q = system.random(4)

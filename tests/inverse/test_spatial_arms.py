@@ -100,6 +100,7 @@ def test_formulas_of_arms_in_space_are_all_solutions(kinds, wrist, hunt: Hunt):
         compared(arm(hunt.rng(), kinds, wrist), kinds, wrist, hunt.rng())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", IN_PLANE)
 def test_formulas_of_arms_with_three_joints_in_a_plane_are_all_solutions(kinds, hunt: Hunt):
     """Such as those of Universal Robots, whose axes 2, 3 and 4 are parallel: as above."""

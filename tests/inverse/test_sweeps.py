@@ -59,6 +59,7 @@ def test_solutions_at_a_value_are_those_with_the_joint_held(case, joint):
         assert all(arm.model.apart(rows, x).min() < 1e-6 for x in arm.model.theta(held.q))
 
 
+@pytest.mark.slow
 def test_curves_are_followed_side_by_side(monkeypatch):
     """How often points are corrected does not grow with the number of curves and intervals."""
     calls: list[int] = []

@@ -321,6 +321,7 @@ def test_inequalities_bind_only_where_they_must():
 # ---- what is preferred in what is left
 
 
+@pytest.mark.slow
 def test_nearest_and_mid_are_the_nearest_with_the_tasks_held():
     s = kempe.load("panda")
     rng = np.random.default_rng(6)

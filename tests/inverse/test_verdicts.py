@@ -306,6 +306,7 @@ def test_one_hand_farther_from_the_other_than_the_links_between_them_are_long(hu
     assert proven
 
 
+@pytest.mark.slow
 def test_two_link_arms_are_blocked_only_where_both_elbows_are(hunt):
     """The closed form judges: where it has no solution inside the limits that is proven, else
     never.

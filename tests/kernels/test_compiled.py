@@ -57,6 +57,7 @@ print([name for name in sys.modules if name.startswith("kempe.kernels.")])
 # ------------------------------------------------------------------ what is loaded
 
 
+@pytest.mark.slow
 @native
 def test_every_verb_runs_without_numba_and_without_the_sources_of_kernels():
     kernels = ROOT / "src" / "kempe" / "kernels"
@@ -134,6 +135,7 @@ def test_an_edited_helper_is_an_error_where_it_cannot_be_compiled(edited):
     )
 
 
+@pytest.mark.slow
 @native
 @pytest.mark.parametrize("change", some(["new file", "renamed", "removed"], 3))
 def test_each_change_of_the_sources_is_seen(tmp_path, change):
@@ -171,6 +173,7 @@ def test_a_package_without_sources_runs_what_it_has(tmp_path):
     assert printed(BLOCKED + SLIDER, package) == "0.5"
 
 
+@pytest.mark.slow
 @native
 def test_without_a_library_the_error_says_what_to_do(tmp_path):
     package = copied(tmp_path)
@@ -339,6 +342,7 @@ def test_lengths_that_differ_are_refused_and_named(name):
             assert judge or argument in str(caught.value)
 
 
+@pytest.mark.slow
 @native
 @given(st.data())
 @settings(max_examples=examples(300))
@@ -652,6 +656,7 @@ print(found.hexdigest())
 """
 
 
+@pytest.mark.slow
 @native
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
 def test_no_answer_depends_on_what_scratch_held_before():

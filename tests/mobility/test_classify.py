@@ -60,6 +60,7 @@ def test_mechanisms_of_the_literature(name: str, hunt: Hunt) -> None:
             assert found.velocity_dof == system.mobility(found.q, local=False).velocity_dof
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", some([n for n in KNOWN if n not in ("five trailers", "ball that may jump")], 3)
 )

@@ -42,6 +42,7 @@ def four_bar(on_bars: bool, lengths=(0.1, 0.4, 0.3), base: float = 0.4) -> kempe
     return m.build()
 
 
+@pytest.mark.slow
 def test_a_pendulum_on_bars_in_line_turns_all_round():
     """Its closed form: the angle runs, the bars rest."""
     system = kempe.load("pendulum_dead_centre")
@@ -61,6 +62,7 @@ def test_a_pendulum_on_bars_in_line_turns_all_round():
     np.testing.assert_allclose(motion.q[:, :3], 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", some(["A", "D"], 3))
 def test_a_four_bar_on_bars_in_line_moves_as_on_the_ground(driver):
     alone = four_bar(False)

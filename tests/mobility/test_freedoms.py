@@ -153,6 +153,7 @@ def lines(hunt, count: int) -> tuple[int, int]:
     return isolated, crossed
 
 
+@pytest.mark.slow
 def test_freedoms_of_arms_in_a_line(hunt):
     isolated, crossed = lines(hunt, 20)
     assert (isolated and crossed) or hunt.cases(20) < 20

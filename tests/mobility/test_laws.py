@@ -287,6 +287,7 @@ def blade() -> kempe.System:
     return m.build()
 
 
+@pytest.mark.slow
 def test_time_and_rolling_together():
     """Against quadrature of the heading: x' = cos(rz), y' = sin(rz) at a forward speed of 1."""
     s = blade()
@@ -317,6 +318,7 @@ def swaying(rng: np.random.Generator) -> tuple[kempe.System, tuple[float, ...]]:
     return m.build(), (float(a), float(c), float(w), float(p))
 
 
+@pytest.mark.slow
 def test_motions_follow_laws_in_time_and_the_judge_knows_the_time(hunt):
     """Against an integration of its own: J1' from the derivative of the law in time."""
     rng = hunt.rng()

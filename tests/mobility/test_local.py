@@ -378,6 +378,7 @@ def test_dead_centres_anyhow(power, mirrored, cut):
     assert key(found) == (0, 1, 4, [], False) and found.certain
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(6), deadline=None)
 @given(st.floats(-3, 3), st.booleans(), st.sampled_from(["m1", "m2", "l1", "l2"]))
 def test_a_cusp_anyhow(power, mirrored, cut):
@@ -528,6 +529,7 @@ def test_without_sampling():
     assert find_local_dimension(system, q, sampling=False).sampled is None
 
 
+@pytest.mark.slow
 def test_a_platform_on_parallel_legs_of_one_length_translates():
     """All legs are one vector of that length: a sphere of translations; the turn about the legs is
     to first order.

@@ -57,6 +57,7 @@ def test_what_has_no_direction_is_released_before_turns():
     assert _choose_releases(rows, 1) == [[rows[2]]] and _choose_releases(rows[:2], 1) == [[rows[1]]]
 
 
+@pytest.mark.slow
 def test_a_joint_that_can_make_every_motion_holds_nothing():
     m = Mechanism("table")
     plate = m.body("plate")

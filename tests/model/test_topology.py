@@ -32,6 +32,7 @@ def tree_by_name(system: System) -> dict:
 # ------------------------------------------------------------------ permutations
 
 
+@pytest.mark.slow
 @given(graph=graphs(), seed=st.integers(0, 10**6))
 @settings(max_examples=examples(120))
 def test_the_order_of_the_file_changes_no_answer_by_name(graph, seed):

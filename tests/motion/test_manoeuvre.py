@@ -65,6 +65,7 @@ def axles(system, q, frame="axle") -> np.ndarray:
     return X[:2, 3]
 
 
+@pytest.mark.slow
 def test_any_configuration_is_reached(hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(40)):
@@ -109,6 +110,7 @@ def test_lengths_are_those_of_reeds_and_shepp(hunt, radius):
         )
 
 
+@pytest.mark.slow
 def test_planes_and_joints_of_any_kind(hunt):
     """The structure counts: slides and a turn in any order, plane, place of the axle."""
     rng = hunt.rng()

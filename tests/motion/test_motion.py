@@ -660,6 +660,7 @@ CLOSED = {  # an implicit equation, points on it, its length, and its cusps
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at", [0, 1], ids=["beside", "at a cusp"])
 @pytest.mark.parametrize("name", CLOSED)
 def test_curves_with_cusps_close_with_their_published_length(name, at):
@@ -762,6 +763,7 @@ def test_branches_of_a_germ_are_followed_through_it_often(name, hunt):
         assert_germ(name, rng)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("second", "turned"), [(1.0, True), (0.6, False), (1.7, False)])
 def test_two_linkages_of_watt_are_traced_through_their_cusp(second, turned):
     """From the cusp and from elsewhere it is the same closed curve; the bar's turn says on which
@@ -786,6 +788,7 @@ def test_two_linkages_of_watt_are_traced_through_their_cusp(second, turned):
     )
 
 
+@pytest.mark.slow
 def test_branches_that_touch_to_the_fourth_order_are_followed_apart():
     """Two equal linkages of Watt: the bar translates on one branch, and turns by a fourth power on
     the other one.

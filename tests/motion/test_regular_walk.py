@@ -96,6 +96,7 @@ TRACES: dict[str, Callable[[np.random.Generator], Path]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TRACES)
 def test_steps_that_are_taken_together_are_what_single_steps_give(name, monkeypatch):
     for seed in range(SEEDS):

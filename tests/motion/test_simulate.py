@@ -314,6 +314,7 @@ def test_a_car_follows_its_inputs(hunt):
         assert np.abs(np.einsum("ni,ni->n", J[:, 1], r.v)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_coin_in_a_circle_comes_back():
     """Radius 0.5, speed 1 m/s, turning at 2 rad/s: after pi s the place is the start's, and the
     coin has turned.
@@ -324,6 +325,7 @@ def test_a_coin_in_a_circle_comes_back():
     assert np.ptp(np.hypot(r.q[:, 0], r.q[:, 1] - 0.5)) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_ball_rolls_on_a_plane():
     """On a circle, with some spin: x' = r wy, y' = -r wx."""
     m = Mechanism("ball on plane")
@@ -522,6 +524,7 @@ def test_a_ball_on_a_table_that_vibrates(hunt):
         assert r.judged and (r.q[:, 1] - law(r.t)).min() > -1e-9
 
 
+@pytest.mark.slow
 def test_a_body_stays_on_a_table_until_that_falls_faster():
     """Without rebound: it leaves where the table's acceleration is -g, and lands after a parabola."""
     r = above("sin(10*t)/10").simulate(0.82, {"at.y": 0.0}, velocity=[0.0, 1.0], restitution=0.0)
@@ -540,6 +543,7 @@ def test_a_body_stays_on_a_table_until_that_falls_faster():
     assert "it stays on" not in r.status and "leaves 'floor'" in str(r)
 
 
+@pytest.mark.slow
 def test_a_particle_on_a_plane_that_turns():
     """A smooth tray that turns about z: its motion along the tray, u'' = w^2 u - g sin(w t), in
     closed form.

@@ -295,6 +295,7 @@ def test_paths_of_what_spins_are_pickled():
     assert np.abs(path.system.loops.closure_error(path.resample(40).q)).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_more_than_spins_is_still_refused():
     with pytest.raises(UnsupportedError, match="stewart_sps has 6 freedoms here") as error:
         kempe.load("stewart_sps").trace("leg1")

@@ -203,6 +203,7 @@ LENGTHS = json.loads((Path(__file__).parent / "reeds_shepp.json").read_text())["
 """Goals (x, y, heading) and the lengths of the shortest ways that the package rsplan found."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", range(3))
 def test_ways_of_a_car_are_no_longer_than_those_of_rsplan(part):
     """rsmotion and OMPL users: the shortest way of a car with turning radius 1.3 m, against the

@@ -57,6 +57,7 @@ def on_circle(radius: float, angle: float) -> np.ndarray:
 # ---- four-bar linkages
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_crank_rocker_keeps_its_branch_over_a_turn(side):
     """Articraft, issue 127: ground 1, crank 0.5, coupler 1.2, rocker 0.8; sweeping the crank
@@ -629,6 +630,7 @@ def test_a_parallel_ankle_is_solved_both_ways():
     assert len(s.assembly_modes({"U.rx": 0.1, "U.ry": 0.2})) == 4
 
 
+@pytest.mark.slow
 def test_limits_of_a_model_do_not_hide_modes_that_are_asked_for_without_them():
     """RBDyn, issue 127; Linkage, issue 12: all modes of an ankle with and without limits, counted
     from many starts.
@@ -653,6 +655,7 @@ def test_limits_of_a_model_do_not_hide_modes_that_are_asked_for_without_them():
     assert "missing" not in limited.assembly_modes(motors).status
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rods, dof, useful", [(6, 8, 2), (3, 6, 3)])
 def test_a_plate_on_equal_parallel_rods(rods, dof, useful):
     """r/robotics, question 1jivt2u: a plate on six rods with balls at both ends; answers were 0, 2,

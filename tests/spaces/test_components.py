@@ -68,6 +68,7 @@ def test_four_bars_are_counted_by_grashofs_rule(hunt):
         assert not isinstance(loop, str) and loop.count == grashof(lengths)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [0.0, 1e-13, 1e-9])
 def test_lengths_that_are_taken_to_be_equal_are_named(more):
     """By Grashof's rule two components as soon as one bar is longer; what decides below 1e-12 is
@@ -300,6 +301,7 @@ def test_a_law_of_angles_within_limits_leaves_one_line():
     assert found.count == 1 and found.parts[0].length == pytest.approx(np.hypot(6.0, 3.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("least", "count"), [(2.0, 0), (0.85, 1)])
 def test_of_a_space_in_which_nothing_was_found_none_is_counted(least, count):
     """The tip comes at most 0.9 m from the ground: beyond that a space is empty, which is not

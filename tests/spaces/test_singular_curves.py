@@ -210,6 +210,7 @@ def test_type_1_of_a_3_rrr_at_one_orientation_lies_on_circles():
         assert min(abs(radius - 0.55), abs(radius - 0.05)) < 1e-9
 
 
+@pytest.mark.slow
 def test_curves_end_at_limits():
     arm = kempe.load("two_link").with_limits({"q1": (-0.5, 2.0)})
     found = arm.singularities("e").curves()

@@ -79,6 +79,7 @@ def test_the_shoulder_is_where_the_wrist_is_across_from_axis_1(puma):
         assert abs(np.cross([0.0, 0.0, 1.0], axis2) @ (p - X[:3, 3])) < 1e-7
 
 
+@pytest.mark.slow
 def test_distances_to_the_nearest(puma):
     """Of elbow and wrist they are differences of one joint; of the shoulder by trying 3000 pairs of
     q2 and q3.
@@ -115,6 +116,7 @@ def test_distances_to_the_nearest(puma):
     assert found.distance == min(found.distances.values())
 
 
+@pytest.mark.slow
 def test_a_singular_configuration_is_its_own_nearest(puma):
     found = puma.nearest(PUMA.q({"q2": 0.3, "q3": 0.4, "q5": 0.0}))
     assert (
@@ -226,6 +228,7 @@ def test_a_leg_of_a_planar_robot_is_stretched_or_folded_where_it_loses_a_motion(
         assert np.abs(np.sin(bend)).min(axis=1).max() < 1e-7
 
 
+@pytest.mark.slow
 def test_a_five_bar():
     """Type 1: a leg is stretched or folded; type 2: the two distal links are in line."""
     arm = kempe.load("five_bar")
@@ -237,6 +240,7 @@ def test_a_five_bar():
     assert one.dimension == two.dimension == 1
 
 
+@pytest.mark.slow
 def test_of_a_planar_frame_with_two_freedoms_the_place_is_the_task():
     """Its pose has three equations, of which one is never met: what is lost is counted from two."""
     arm = kempe.load("five_bar")
@@ -433,6 +437,7 @@ def test_a_position_seen_along_two_axes():
         assert off.min(axis=1).max() < 1e-6 and off.min(axis=0).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
     """Three legs in planes at 120 degrees: x and y of the level platform are squares of its tilts,
     so none moves it.
@@ -477,6 +482,7 @@ def test_of_a_platform_with_short_strokes_those_inside_the_limits_are_found():
         assert np.linalg.matrix_rank(lost[:, :2]) == 2 and np.abs(lost[:, 2]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_the_nearest_singular_configuration_is_hardly_ever_farther_than_one_on_a_grid(hunt):
     """Arms of three skew hinges with limits: against changes of sign of the determinant along the
     lines of a grid.

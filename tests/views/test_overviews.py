@@ -111,6 +111,7 @@ def test_circles_of_trees_lie_apart(name):
     assert gaps.min() >= 0.99
 
 
+@pytest.mark.slow
 def test_a_long_chain_has_a_tree():
     m = kempe.Mechanism("chain", dim=2)
     body = m.ground
@@ -143,6 +144,7 @@ def test_letters_of_joint_types():
     assert make_joint_type("P(x) R(z) R(y)").letter == "PRR"
 
 
+@pytest.mark.slow
 def test_all_joint_types_in_one_picture():
     axes = overviews.plot_joints()
     assert [ax.get_title() for ax in axes][:2] == ["revolute, 1 freedom", "prismatic, 1 freedom"]

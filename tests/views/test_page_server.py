@@ -100,6 +100,7 @@ def served(*options: str):
             process.terminate()
 
 
+@pytest.mark.slow
 def test_only_who_has_the_address_and_comes_from_the_page_opens_a_websocket():
     """As an attacker would: without the token, from a foreign page, without an origin, by DNS
     rebinding.
@@ -485,6 +486,7 @@ def damaged(folder: Path) -> dict[str, str]:
     return {n: "unpacks to" if n in ("bomb.zip",) else "" for n in names}
 
 
+@pytest.mark.slow
 def test_meshes_that_cannot_be_read_are_named_and_the_others_are_drawn(tmp_path):
     bad = damaged(tmp_path)
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "good.stl")
@@ -496,6 +498,7 @@ def test_meshes_that_cannot_be_read_are_named_and_the_others_are_drawn(tmp_path)
         assert name in said and why in said and len(said) < 500 and "\n" not in said, said
 
 
+@pytest.mark.slow
 def test_a_page_with_such_meshes_is_served_and_says_so(tmp_path):
     for name in ("bad.stl", "bad.3mf"):
         (tmp_path / name).write_bytes(b"no mesh")
@@ -511,6 +514,7 @@ def test_a_page_with_such_meshes_is_served_and_says_so(tmp_path):
     assert "2 meshes not drawn: b0: mesh bad.stl" in view.err
 
 
+@pytest.mark.slow
 def test_a_file_that_takes_too_long_or_too_much_is_ended_and_the_next_is_read(
     tmp_path, monkeypatch
 ):
@@ -545,6 +549,7 @@ trimesh.load_mesh = trap(trimesh.load_mesh)
     assert np.allclose(np.ptp(said[3].corners, axis=0), [1, 2, 3])
 
 
+@pytest.mark.slow
 def test_meshes_keep_their_colours_and_textures(tmp_path):
     """What is read in the other process is what trimesh reads here."""
     box = trimesh.creation.box((1, 2, 3))

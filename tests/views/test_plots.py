@@ -615,6 +615,7 @@ def test_every_model_can_be_drawn(name, tmp_path):
     assert (tmp_path / "a.png").stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_vector_output_names_its_parts(tmp_path):
     plots.plot(kempe.load("four_bar")).figure.savefig(tmp_path / "a.svg")
     text = (tmp_path / "a.svg").read_text()
@@ -878,6 +879,7 @@ def test_several_configurations_lie_over_one_another():
     assert arm.plot(arm.ik([0.6, 0.3], "e")) and arm.plot("elbow_up") and both.plot()
 
 
+@pytest.mark.slow
 def test_several_configurations_side_by_side():
     bar = kempe.load("four_bar")
     modes = bar.assembly_modes({"A": 1.0})
@@ -909,6 +911,7 @@ def shown_boxes(ax, words):
     return out
 
 
+@pytest.mark.slow
 def test_many_solutions_have_numbers_and_a_key_and_differ_in_grey():
     """Eight of an arm in space: no number covers another, all lies in the figure, and no two have
     the same dashes.

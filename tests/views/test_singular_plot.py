@@ -106,6 +106,7 @@ def offset_arm():
     return m.build()
 
 
+@pytest.mark.slow
 def test_each_set_is_drawn_before_a_second_of_one():
     found = offset_arm().singularities("tcp", budget=Budget(starts=64))
     assert len(found.sets) == 4 and len(found.sets[2].values) == 2

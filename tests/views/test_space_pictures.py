@@ -132,6 +132,7 @@ def test_points_have_their_solutions_or_their_distance():
     assert artists(right)["distance:1:text"][0].get_text() == "0.4 m away"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("small", [False, True])
 def test_texts_do_not_cover_each_other(small):
     """Numbers of points and distances, and what stands at the axes, also of systems of millimetres."""
@@ -266,6 +267,7 @@ def test_ways_of_a_five_bar_are_those_of_its_legs(five):
     assert np.array_equal(shown, ways[0] * ways[1]) and set(shown.ravel()) == {0, 4}
 
 
+@pytest.mark.slow
 def test_modes_of_a_five_bar_are_two_where_the_rods_are_long_enough(five):
     q, shown = shades(five[0])
     ends = [
@@ -430,6 +432,7 @@ def test_another_pair_of_coordinates_takes_over_where_actuated_ones_leave_no_dya
     assert np.where(ok, off, 1.0).min(axis=1).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_slides_as_drives_are_the_axes():
     m = kempe.Mechanism("RPRPR", dim=2)
     for k, x in ((1, 0.0), (2, 0.8)):
@@ -589,6 +592,7 @@ def test_a_picture_shows_what_was_done_until_an_interrupt_and_says_so():
         system.plot_spaces("tip", task="direction", resolution=24, budget=Budget(time_limit=1e-4))
 
 
+@pytest.mark.slow
 def test_lines_in_millimetres_are_not_torn():
     """Of type 1 a bar is upright: the slides are as far apart as the other bar reaches along x."""
     left, _ = slider_pair(2).plot_spaces("tip", resolution=12)

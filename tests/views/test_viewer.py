@@ -217,6 +217,7 @@ ROUND = 24 * np.sin(np.pi / 12) / (2 * np.pi)
 """Area of a polygon of 24 sides, by that of its circle."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "sizes", "extents", "volume", "least"),
     [
@@ -246,6 +247,7 @@ def test_shapes_are_drawn_in_their_size_place_and_colour(kind, sizes, extents, v
     assert shape.mesh.opacity == 64 / 255
 
 
+@pytest.mark.slow
 def test_what_collides_is_drawn_where_nothing_else_is_seen():
     m = kempe.Mechanism("m")
     for name in ("seen", "hidden", "bare"):
@@ -287,6 +289,7 @@ def as_trimesh(mesh: PlacedMesh) -> trimesh.Trimesh:
     return out.apply_transform(mesh.X)
 
 
+@pytest.mark.slow
 def test_glb_and_triangles_are_the_same_mesh(tmp_path):
     """Scaled by different numbers, one of them negative, and turned; written by trimesh and here."""
     trimesh.creation.icosphere(1, 0.5).apply_translation((1, 2, 3)).export(tmp_path / "ball.stl")

@@ -99,6 +99,7 @@ def test_numbers_at_the_axes_of_small_systems_have_a_common_power():
     assert not any(a.overlaps(b) for a, b in zip(boxes, boxes[1:], strict=False)) and len(boxes) > 2
 
 
+@pytest.mark.slow
 def test_it_is_written(tmp_path):
     SPACE.plot()[0].figure.savefig(tmp_path / "map.png")
     assert (tmp_path / "map.png").read_bytes()[:4] == b"\x89PNG"

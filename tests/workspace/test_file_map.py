@@ -451,6 +451,7 @@ def test_an_interrupted_map_is_gone_on_with(tmp_path, whole):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.zarr", "whole.zarr", "x.npy"]
 
 
+@pytest.mark.slow
 def test_an_interrupt_at_any_line(tmp_path, hunt):
     """Where the work is broken off, the same call goes on to what was to be written, and nothing is
     made twice.
@@ -578,6 +579,7 @@ def flip(file):
     file.write_bytes(data)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", some(["changed", "gone", "cut"], 3))
 @pytest.mark.parametrize("finished", [True, False])
 def test_damaged_chunks_are_found_and_made_again(tmp_path, whole, how, finished):
@@ -746,6 +748,7 @@ def test_maps_of_something_else_are_refused(tmp_path, whole, words, more, finish
     assert mapped(whole[0], path).redone == 0 and same(arrays(path), whole[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("finished", [True, False])
 def test_rows_that_have_changed_are_refused_and_copies_are_not(tmp_path, whole, finished):
     path = tmp_path / "out.zarr"
@@ -761,6 +764,7 @@ def test_rows_that_have_changed_are_refused_and_copies_are_not(tmp_path, whole, 
     assert mapped(copy, path).redone == 0 and same(arrays(path), whole[1])
 
 
+@pytest.mark.slow
 def test_more_rows_are_another_map(tmp_path, whole):
     X = np.load(whole[0])
     mapped(whole[0], tmp_path / "out.zarr")

@@ -144,6 +144,7 @@ THREE = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", THREE)
 def test_three_legs_against_a_row_of_angles(name):
     legs, tool = THREE[name]
@@ -172,6 +173,7 @@ def test_three_legs_against_a_row_of_angles(name):
     assert "(sampled)" in w.status and "open end" not in w.status
 
 
+@pytest.mark.slow
 def test_it_moves_with_its_base_and_scales():
     """Turned, moved and enlarged as a whole, and with legs in another order, it has the same area,
     times a square.
@@ -199,6 +201,7 @@ def test_it_moves_with_its_base_and_scales():
     assert np.array_equal(before.contains(p), after.contains(np.column_stack([z.real, z.imag])))
 
 
+@pytest.mark.slow
 def test_a_point_aside_of_a_five_bar(hunt: Hunt):
     """A point of one distal link is reached where the inverse model finds a solution; how many, that
     says.
@@ -231,6 +234,7 @@ def pantograph(unit=1.0):
     return m.build()
 
 
+@pytest.mark.slow
 def test_curves_that_touch_are_cut_once():
     """Where a joint comes to its limit two coupler curves touch: no slivers are left of that, in
     any unit.

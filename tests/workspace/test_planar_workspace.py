@@ -329,6 +329,7 @@ def test_a_planar_parallel_robot_in_one_orientation():
     assert "three_rrr, tool (constant-orientation): area" in w.status
 
 
+@pytest.mark.slow
 def test_a_platform_on_three_legs_with_limits_in_given_orientations(monkeypatch):
     """Annuli of the leg lengths about the pivots moved by where the leg holds the platform; area by
     quadrature.

@@ -25,6 +25,7 @@ def test_singularities_as_text_and_json():
     assert text.code == 0 and "q2 = 0 or 3.142" in text.out and "0.1745 away" in text.out
 
 
+@pytest.mark.slow
 def test_singularities_are_drawn(tmp_path):
     file = tmp_path / "singular.png"
     run = Result("singularities", "two_link", "--frame", "e", "--starts", "8", "--plot", str(file))

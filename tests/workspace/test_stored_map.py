@@ -71,6 +71,7 @@ def test_threads_that_share_memory_make_the_same_map(monkeypatch):
 MODULES = (sampling_job, mapping, workers, store, stored_map)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("on_disk", [False, True])
 def test_an_interrupt_at_any_line(tmp_path, hunt, on_disk):
     """What is said to be counted is, and goes on to the whole map: also where a piece is about to

@@ -277,6 +277,7 @@ def test_answers_are_said():
     )
 
 
+@pytest.mark.slow
 def test_the_time_limit_ends_it_with_what_was_done(looks):
     said = []
     looks(9)
@@ -343,6 +344,7 @@ def test_an_unknown_frame():
         two_bars(0.5, 0.3).workspace("tipp")
 
 
+@pytest.mark.slow
 def test_a_workspace_under_a_narrow_constraint():
     """The tip of a chain must be in a disc that 0.1 % of configurations reach: its area, and no
     refusal.
