@@ -62,8 +62,12 @@ print([name for name in sys.modules if name.startswith("kempe.kernels.")])
 def test_every_verb_runs_without_numba_and_without_the_sources_of_kernels():
     kernels = ROOT / "src" / "kempe" / "kernels"
     loaded = set(re.findall(r"kempe\.kernels\.([\w.]+)", printed(BLOCKED + VERBS)))
-    layouts = {f"{path.parent.name}.{path.stem}" for path in kernels.glob("*/*layout.py")}
-    assert loaded <= layouts | {name.partition(".")[0] for name in layouts} | {
+    data = {
+        f"{path.parent.name}.{path.stem}"
+        for name in ("layout", "constants")
+        for path in kernels.glob(f"*/*{name}.py")
+    }
+    assert loaded <= data | {name.partition(".")[0] for name in data} | {
         "compiled",
         "digest",
         "_native",
@@ -75,12 +79,14 @@ OUTSIDE = [p for p in sorted((ROOT / "src" / "kempe").rglob("*.py")) if "kernels
 
 @pytest.mark.parametrize("path", OUTSIDE, ids=lambda p: p.stem)
 def test_sources_of_kernels_are_for_the_compiler_only(path):
-    """No module outside `kernels` imports another module of it than `compiled` and the layouts."""
+    """No module outside `kernels` imports another module of it than `compiled`, layouts, and
+    constants.
+    """
     pattern = re.compile(
         r"^\s*(?:from|import) kempe\.kernels(?:\.(\w+))?(?: import |\.)(\w+)", re.M
     )
     for folder, name in pattern.findall(path.read_text()):
-        assert "compiled" in (folder, name) or re.fullmatch(r"\w*layout", name), (
+        assert "compiled" in (folder, name) or re.fullmatch(r"\w*(layout|constants)", name), (
             f"{path.name} imports {name}"
         )
 

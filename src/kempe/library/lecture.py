@@ -38,13 +38,14 @@ MARKUP = (
 """What marks up the text of the page, and what stands in the terminal."""
 
 FORMULAS = (
+    (r"\\(?:mathbb|mathcal|mathrm)\{(\w+)\}", r"\1"),
+    (r"([_^])\{(\w+)_(\w+)\}", r"\1{\2\3}"),
     (r"\{\}\^(\w)|\{\}\^\{([^{}]*)\}", r"\1\2"),
     (r"\\begin\{bmatrix\} *(.*?) *\\end\{bmatrix\}", r"[\1]"),
     (r" *\\\\ *", "; "),
     (r" & ", ", "),
-    (r"\\(?:mathbb|mathcal|mathrm)\{(\w+)\}", r"\1"),
     (r"\\dot (\w)", r"d\1/dt"),
-    (r"\\,|\\quad", " "),
+    (r"\\[,;]|\\quad", " "),
     (r"\\times", "x"),
     (r"\\geq", ">="),
     (r"\\leq", "<="),
