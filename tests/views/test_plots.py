@@ -376,6 +376,17 @@ def test_all_is_inside_the_limits():
                 )
 
 
+def test_the_axes_know_what_is_on_them():
+    """Who draws on them may let matplotlib choose the limits anew."""
+    ax = kempe.load("four_bar").plot()
+    patches = [p.get_extents().transformed(ax.transData.inverted()) for p in ax.patches]
+    ax.autoscale()
+    (left, right), (low, high) = ax.get_xlim(), ax.get_ylim()
+    assert len(patches) > 5
+    for box in patches:
+        assert left <= box.x0 and box.x1 <= right and low <= box.y0 and box.y1 <= high
+
+
 @pytest.mark.parametrize(
     "name", ["jansen", "peaucellier", "stephenson_six_bar", "three_rpr", "four_bar"]
 )

@@ -128,9 +128,9 @@ class Sheet:
     def add_outline(self, path: Path, gid: str, layer: float, **how: Any) -> None:
         """Draw an outline, filled and edged."""
         self.extent.append(np.asarray(path.vertices))
-        self.ax.add_artist(  # without limits, which are set when all is drawn
-            PathPatch(path, gid=gid, zorder=layer, **{"lw": 0.9, "joinstyle": "round", **how})
-        )
+        # axes that stay know what is on them; frames of a motion have their limits
+        add = self.ax.add_artist if self.steady else self.ax.add_patch
+        add(PathPatch(path, gid=gid, zorder=layer, **{"lw": 0.9, "joinstyle": "round", **how}))
 
     def add_line(self, points: Array, gid: str, layer: float, **how: Any) -> None:
         """Draw a polyline (n, 2)."""
