@@ -29,7 +29,7 @@ FILES = {
 """Modules by their names below `kempe`; the package itself is `__init__`."""
 
 LAYERS = """
-late version status words errors arrays arguments budget numerics.rank spatial poses values report
+late version status words errors arrays units arguments budget numerics.rank spatial poses values report
 kernels: base | forward dyads | one_frame closed_form constraints | elimination series tasks | *
 joints
 constraints

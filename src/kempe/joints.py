@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import MISSING, dataclass, fields, replace
+from fractions import Fraction
 from functools import lru_cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -21,6 +22,7 @@ from kempe import spatial
 from kempe.arrays import is_real
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.forward.table_layout import BALL, SLIDE, TURN
+from kempe.units import scale_lengths
 from kempe.words import format_html_paragraphs
 
 R = TURN
@@ -411,6 +413,32 @@ def _parse_product(words: str) -> tuple[tuple[str, ...], tuple[Primitive, ...]]:
         f"{n}{names[:i].count(n) + 1}" if names.count(n) > 1 else n for i, n in enumerate(names)
     )
     return ("",) if len(names) == 1 else numbered, tuple(steps)
+
+
+def scale_pitch(joint: JointType, factor: Fraction) -> JointType:
+    """Return the joint type with the pitch of its screws in another unit of length.
+
+    Errors: `InputError` for screws of other types, whose pitch nobody knows how to set.
+    """
+    if isinstance(joint, Helical):
+        return replace(joint, pitch=scale_lengths(joint.pitch, factor))
+    if isinstance(joint, Product):
+        factors = [
+            ("H", found[1], repr(scale_lengths(float(found[2]), factor)))
+            if found[0] == "H"
+            else found
+            for found in _parse_factors(joint.words)
+        ]
+        words = [letter + f"({', '.join(of)})" * bool(of) for letter, *of in factors]
+        return Product(" ".join(words))
+    primitives = joint.layout()[1]
+    turning = {p.coordinate for p in primitives if p.kind == R}
+    if any(p.kind == P and p.coordinate in turning for p in primitives):
+        raise InputError(
+            f"its type {joint.type_name!r} turns and slides by one coordinate: its pitch cannot be "
+            "converted to another unit of length"
+        )
+    return joint
 
 
 TYPES: dict[str, type[JointType]] = {

@@ -23,6 +23,7 @@ ROWS = {
     "read_toml": "kempe.description.toml_reader:read_toml",
     "write_toml": "kempe.description.toml_writer:write_toml",
     "write": "kempe.description.read:write_mechanism",
+    "convert_unit": "kempe.description.length_units:convert_unit",
     "assemble": "kempe.assemble.assemble:assemble",
     "way_there": "kempe.motion.manoeuvre:describe_way_there",
     "answers of assemble": "kempe.assemble.explain:ROW",

@@ -9,6 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields, replace
 from enum import IntEnum, auto
+from fractions import Fraction
 from functools import cached_property, lru_cache
 from types import NoneType
 from typing import (
@@ -32,6 +33,7 @@ from kempe.errors import INSTEAD, InputError
 from kempe.poses import EXACT as RIGID
 from kempe.poses import Placement, correct_rotations, read_direction, read_pose_array
 from kempe.spatial import Array
+from kempe.units import scale_lengths
 from kempe.values import Expression
 from kempe.words import format_html_paragraphs
 
@@ -448,6 +450,16 @@ class Constraint(ABC):
         """Return the constraint with a prefix before the names of its coordinates."""
         return self
 
+    def scale_lengths(self, factor: Fraction, slides: Collection[str]) -> Constraint:
+        """Return the constraint with its lengths in another unit.
+
+        `factor` is the old unit in new ones; `slides` are the coordinates that are lengths.
+        """
+        given = {f.name: (f.type, getattr(self, f.name)) for f in fields(self)}
+        new = {n: scale_lengths(x, factor) for n, (sort, x) in given.items() if sort in LENGTHS}
+        new |= {n: _scale_pose(x, factor) for n, (sort, x) in given.items() if sort == "Matrix"}
+        return replace(self, **new)
+
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
         """Return the constraint with each name resolved to a coordinate or to a given parameter."""
         return self
@@ -535,6 +547,13 @@ class Bounded(Constraint):
 
     measured: ClassVar[str] = "value"
     """What the number is, one of `UNITS`."""
+
+    def scale_lengths(self, factor: Fraction, slides: Collection[str]) -> Constraint:
+        """Return the constraint with its lengths in another unit; bounds of other numbers stay."""
+        scaled = super().scale_lengths(factor, slides)
+        if UNITS[self.measured] == "m":
+            return scaled
+        return replace(scaled, at_least=self.at_least, at_most=self.at_most)  # type: ignore[call-arg]
 
     @property
     def bounded(self) -> bool:
@@ -697,6 +716,8 @@ SQUARE = {"Matrix": "a given pose", "Rotation": "a given rotation"}
 """Annotations of fields of numbers that are too many for a sentence, and what it says of them."""
 NUMBERS = ("Number", "Point", "Direction", "Matrix", "Rotation")
 """Annotations of fields of numbers, which in a description may be expressions in parameters."""
+LENGTHS = ("Number", "Point", "Points")
+"""Annotations of fields of lengths, and of speeds."""
 PARAMETERS = "Parameters"
 """Annotation of a field that receives the parameters of the mechanism."""
 
@@ -731,6 +752,15 @@ def evaluate_number_fields(constraint: Constraint, parameters: Mapping[str, floa
     }
     given |= dict.fromkeys(_list_fields_of_types(type(constraint), (PARAMETERS,)), parameters)
     return replace(constraint, **given) if given else constraint
+
+
+def _scale_pose(x: Any, factor: Fraction) -> Any:
+    """Return a pose in any form that `read_pose_array` reads with its place in another unit."""
+    if list_expressions(x):  # rows of numbers and expressions
+        return [[*row[:-1], scale_lengths(row[-1], factor)] for row in x[:-1]] + [x[-1]]
+    X = np.array(read_pose_array(x, "pose"), dtype=float)
+    X[..., :-1, -1] = scale_lengths(X[..., :-1, -1], factor)
+    return X
 
 
 def list_expressions(x: Any) -> list[Expression]:

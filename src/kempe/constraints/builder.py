@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -399,3 +400,8 @@ def add_nearest_rates(
     pieces = np.reshape(table[1:], (-1, L.PIECE))[:, :12].reshape(-1, 3, 4)
     _, first, bend = add_curve_terms(build, pieces, s, p)
     return [build.add_binary(L.DIV, x, bend) for x in first]
+
+
+def scale_inputs(tape: Tape, names: Iterable[str], factor: Fraction) -> Tape:
+    """Return the tape over inputs in another unit, of which `factor` are one of the old unit."""
+    return substitute_sources(tape, {n: (n, float(1 / factor), 0.0) for n in names})

@@ -8,6 +8,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
@@ -16,7 +17,7 @@ import numpy as np
 from kempe.arguments import FOREIGN, read_distinct_names, read_flag
 from kempe.arrays import is_array, is_sequence
 from kempe.constraints.base import LARGEST, Bounded, Constraint, Names, Op, Row, kind
-from kempe.constraints.builder import Builder, rename_inputs
+from kempe.constraints.builder import Builder, rename_inputs, scale_inputs
 from kempe.constraints.tape import RATE, TIME, Tape, quote_name
 from kempe.constraints.text import is_texts, parse_expression, parse_tape
 from kempe.errors import InputError, KempeError, UnknownNameError, format_value
@@ -755,6 +756,21 @@ class _Valued(_WrittenKind, Bounded):
             for k in range(n)
         )
 
+    def scale_lengths(self, factor: Fraction, slides: Collection[str]) -> Constraint:
+        """Return the constraint as a function of slides in another unit; its values stay."""
+        written = self.expression
+        own = [n for n in self.of if n in slides]
+        if not own:
+            return self
+        if isinstance(written, Call):
+            raise InputError(
+                f"{self.message_name} is a Python function of {', '.join(own)}, which is in another "
+                "unit here: write it as an expression"
+            )
+        tape = scale_inputs(self._parse_written(self._texts), own, factor)
+        new = tape if isinstance(written, Tape) else tape.format_outputs()
+        return replace(self, expression=new)  # type: ignore[call-arg]
+
     def add_prefix(self, prefix: str) -> Constraint:
         """Return the constraint with a prefix before the names of its coordinates."""
         written = self.expression
@@ -983,20 +999,35 @@ class VelocityEquation(_WrittenKind):
             more = "; for the time say time=True" if error.name == TIME and not self.time else ""
             raise InputError(f"{self.message_name}: {error}{more}") from None
 
+    def scale_lengths(self, factor: Fraction, slides: Collection[str]) -> Constraint:
+        """Return the constraint on slides in another unit; the values of its rows stay."""
+        own = [n for n in self.of if n in slides]
+        scaled = self._convert_entries(lambda tape: scale_inputs(tape, own, factor))
+        rows: Any = scaled.matrix
+        columns = [float(1 / factor) if n in own else 1.0 for n in self.of]
+        matrix = tuple(
+            tuple(a if x == 1.0 else f"({a})*{x!r}" for a, x in zip(row, columns, strict=True))
+            for row in rows
+        )
+        return replace(scaled, matrix=matrix)
+
     def add_prefix(self, prefix: str) -> Constraint:
         """Return the constraint with a prefix before the names of its coordinates."""
         new = {n: prefix + n for n in self.of}
+        renamed = self._convert_entries(lambda tape: rename_inputs(tape, new))
+        return replace(renamed, of=tuple(new.values()))
+
+    def _convert_entries(self, convert: Callable[[Tape], Tape]) -> VelocityEquation:
+        """Return the constraint with each entry of `matrix` and `b` converted as a tape."""
         clock = (TIME,) if self.time else ()
 
-        def rename_coordinates(text: str) -> str:
-            """Return an expression with the prefix before its coordinates."""
+        def convert_text(text: str) -> str:
+            """Return an entry, converted."""
             words = [w for w in list_words((text,)) if w not in self.of and w not in clock]
-            return rename_inputs(
-                parse_tape((text,), (*self.of, *clock), tuple(words)), new
-            ).format_outputs()[0]
+            tape = parse_tape((text,), (*self.of, *clock), tuple(words))
+            return convert(tape).format_outputs()[0]
 
         b: Any = self.b
-        b = tuple(map(rename_coordinates, b)) if is_texts(b) else rename_coordinates(b)
+        b = tuple(map(convert_text, b)) if is_texts(b) else convert_text(b)
         rows: Any = self.matrix
-        matrix = tuple(tuple(map(rename_coordinates, row)) for row in rows)
-        return replace(self, matrix=matrix, b=b, of=tuple(new.values()))
+        return replace(self, matrix=tuple(tuple(map(convert_text, row)) for row in rows), b=b)

@@ -6,7 +6,9 @@ read.
 
 from __future__ import annotations
 
-from dataclasses import field
+from collections.abc import Collection
+from dataclasses import field, replace
+from fractions import Fraction
 from functools import cached_property, lru_cache
 from typing import Any, ClassVar
 
@@ -39,6 +41,7 @@ from kempe.constraints.base import (
     read_points,
     read_poses,
 )
+from kempe.constraints.builder import scale_inputs
 from kempe.constraints.tape import POSE, Tape
 from kempe.constraints.text import LEAST, parse_tape
 from kempe.errors import InputError
@@ -841,6 +844,12 @@ class OnSurface(Measured):
     other: Frame | None = field(default=None, kw_only=True)
 
     measured: ClassVar[str] = "value"
+
+    def scale_lengths(self, factor: Fraction, slides: Collection[str]) -> Constraint:
+        """Return the constraint with its lengths in another unit; values of the equation stay."""
+        tape = scale_inputs(self._make_tape(3), "xyz", factor)
+        scaled = super().scale_lengths(factor, slides)
+        return replace(scaled, surface=tape.format_outputs()[0])  # type: ignore[call-arg]
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Return the equation of the surface."""

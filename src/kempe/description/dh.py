@@ -21,6 +21,7 @@ from kempe.poses import (
     read_direction,
     read_placement_steps,
 )
+from kempe.units import METRE
 from kempe.values import Expression, Value, read_value, read_values
 from kempe.words import format_count
 
@@ -400,6 +401,7 @@ def from_dh(
     *,
     deg: bool = False,
     columns: Sequence[str] = ORDER,
+    unit: str = METRE,
 ) -> Mechanism:
     """Return the chain of a Denavit-Hartenberg table.
 
@@ -408,7 +410,7 @@ def from_dh(
     rows
         One row a joint: `DHRow`, dicts with its fields, a table with named columns (a DataFrame, a
         dict of lists), or plain rows of numbers, a list of tuples or an array (n, 4). Lengths are
-        metres, angles radians; both may be expressions in parameters.
+        in `unit`, angles radians; both may be expressions in parameters.
     convention
         "standard" (default) or "modified", see the notes.
     name
@@ -426,6 +428,8 @@ def from_dh(
     columns
         Order of the numbers of plain rows, which differs from book to book (default: a, alpha, d,
         theta).
+    unit
+        Unit of the lengths, as of `Mechanism`: "m" (default), "cm", "mm" or "in".
 
     Returns
     -------
@@ -460,7 +464,7 @@ def from_dh(
     >>> from_dh([(0, 90, 0.4, 0), (0.5, 0, 0, 30)], deg=True)
     Mechanism('arm', dim=3, bodies=2, joints=2)
     """
-    out = Mechanism(name)
+    out = Mechanism(name, unit=unit)
     for key, number in (parameters or {}).items():
         out.parameter(key, number)
     add_dh_chain(out, rows, convention, base=base, tool=tool, deg=deg, columns=columns)
@@ -528,6 +532,8 @@ def from_screws(
     home: PlacedAt | None = None,
     name: str = "arm",
     parameters: Mapping[str, float] | None = None,
+    *,
+    unit: str = METRE,
 ) -> Mechanism:
     """Return the chain of screw axes (product of exponentials).
 
@@ -544,6 +550,8 @@ def from_screws(
         Name of the mechanism.
     parameters
         Values of parameters by name.
+    unit
+        Unit of the lengths, as of `Mechanism`: "m" (default), "cm", "mm" or "in".
 
     Returns
     -------
@@ -570,7 +578,7 @@ def from_screws(
     >>> arm.build().fk([0.0, 0.0], "tool")[:3, 3]
     array([0.9, 0. , 0. ])
     """
-    out = Mechanism(name)
+    out = Mechanism(name, unit=unit)
     for key, number in (parameters or {}).items():
         out.parameter(key, number)
     add_screw_chain(out, screws, home)

@@ -58,8 +58,9 @@ from kempe.errors import (
     raise_missing_member,
 )
 from kempe.joints import Fixed, JointType, make_joint_type
-from kempe.late import import_late_member
+from kempe.late import call_late_function, import_late_member
 from kempe.poses import AXES, Placement, place
+from kempe.units import METRE, check_unit
 from kempe.values import Expression, Value, evaluate_value, read_value
 
 if TYPE_CHECKING:
@@ -398,11 +399,13 @@ class Mechanism:
         xy-plane and turn about z.
     ground
         Name of body 0, which does not move (default: "ground").
+    unit
+        Unit of its lengths: "m" (default), "cm", "mm" or "in".
 
     Raises
     ------
     InputError
-        If `dim` is neither 2 nor 3, or a name is empty.
+        If `dim` is neither 2 nor 3, a name is empty, or `unit` is no unit of length.
 
     See Also
     --------
@@ -411,9 +414,11 @@ class Mechanism:
 
     Notes
     -----
-    Lengths are metres, angles radians. Both may be expressions in parameters, such as ``"l1/2"``,
-    where the method says so. Every method that adds something returns its record or name. A wrong
-    call raises an error at once and changes nothing.
+    Lengths are metres, angles radians. With a `unit` all lengths, speeds of slides, areas, pictures
+    and messages are in that unit, where these pages say metres: numbers go in and come out in it.
+    Only `attach`, files in formats of others and `kempe.convert` convert. Lengths and angles may be
+    expressions in parameters, such as ``"l1/2"``, where the method says so. Every method that adds
+    something returns its record or name. A wrong call raises an error at once and changes nothing.
 
     Examples
     --------
@@ -427,11 +432,15 @@ class Mechanism:
     """
 
     @explain_errors
-    def __init__(self, name: str = "mechanism", dim: int = 3, ground: str = "ground"):
+    def __init__(
+        self, name: str = "mechanism", dim: int = 3, ground: str = "ground", unit: str = METRE
+    ):
         if dim not in (2, 3):
             raise InputError(f"dim is {dim!r}; a system lives in the plane (2) or in space (3)")
         self.name = name
         self.dim = int(dim)
+        self.unit = check_unit(unit)
+        """Unit of its lengths; see `kempe.units.METRES`."""
         self.bodies: dict[str, Body] = {}
         self.joints: dict[str, Joint] = {}
         self.frames: dict[str, Frame] = {}
@@ -2252,7 +2261,8 @@ class Mechanism:
         Parameters
         ----------
         other
-            Mechanism, or system of one, of the same `dim`.
+            Mechanism, or system of one, of the same `dim`. Its lengths are converted to the unit of
+        this mechanism.
         to
             Body or frame that carries it, as a record or a name (default: the ground).
         prefix
@@ -2280,7 +2290,8 @@ class Mechanism:
 
         Notes
         -----
-        Parameters of the same name and value are shared.
+        Parameters of the same name and value are shared. They keep their numbers where lengths are
+        converted: an expression in millimetres is divided by 1000 in a mechanism in metres.
 
         Examples
         --------
@@ -2460,6 +2471,8 @@ class Mechanism:
             self.tolerance,
             tuple(self.groups.items()),
             tuple(self.ignored_pairs.items()),
+            # metres are not named, so that names of stored answers stay
+            *([] if self.unit == METRE else [self.unit]),
         )
 
     # ---- checks
@@ -2570,6 +2583,7 @@ def attach_mechanism(
         )
     if not isinstance(prefix, str):
         raise InputError(f"prefix is {format_value(prefix)}; it must be text")
+    guest = call_late_function("convert_unit", guest, host.unit)
     _refuse_clashes(host, guest, prefix)
     trial = host.copy()
     name = str(to) if to is not None else host.ground.name
@@ -2727,7 +2741,7 @@ def _extract_part(mechanism: Mechanism, name: str, base: str, path: Iterable[Joi
     """Return the mechanism of these joints, their bodies, and all that belongs to them alone."""
     path = list(path)
     kept = {base} | {b for j in path for b in (j.parent, j.child)}
-    out = Mechanism(f"{mechanism.name}: {name}", mechanism.dim, ground=base)
+    out = Mechanism(f"{mechanism.name}: {name}", mechanism.dim, base, mechanism.unit)
     out.parameters = dict(mechanism.parameters)
     out.roots = mechanism.roots
     out.bodies = {

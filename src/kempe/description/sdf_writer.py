@@ -12,6 +12,7 @@ import numpy as np
 
 from kempe import spatial
 from kempe.description.formats import SDF
+from kempe.description.length_units import convert_to_metres
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Declared, Joint, Shape
 from kempe.description.sdf_scopes import GROUND, MODEL
@@ -46,7 +47,7 @@ def write_sdf(mechanism: Mechanism) -> str:
     Parameters are evaluated, locked joints become fixed ones. Errors: `DescriptionError` listing
     all that SDF cannot say, by `SDF.cannot` of `kempe.description.formats`.
     """
-    return _SdfWriter(mechanism).write_text()
+    return _SdfWriter(convert_to_metres(mechanism)).write_text()
 
 
 class _SdfWriter(UrdfWriter):

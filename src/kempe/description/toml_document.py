@@ -306,6 +306,7 @@ KEYS = {
         "name",
         "dim",
         "ground",
+        "unit",
         "tolerance",
         "notes",
         "parameters",

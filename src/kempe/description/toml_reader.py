@@ -30,6 +30,7 @@ from kempe.description.xml import parse_xml
 from kempe.errors import DescriptionError, InputError, UnknownNameError
 from kempe.joints import TYPES, make_joint_type
 from kempe.poses import Placement, place, read_placement_steps
+from kempe.units import METRE
 from kempe.values import Expression
 
 
@@ -45,13 +46,13 @@ def read_toml(
     document = Document(Source(source, decode_text(text, source)))
     document.check_format()
     head: dict[str, Any] = {"name": "mechanism", "dim": 3, "ground": "ground", "notes": []}
+    head["unit"] = document.data.get("unit", METRE)
     head |= {k: v for k, v in document.data.items() if k in head and type(v) is type(head[k])}
     try:
-        mechanism = Mechanism(head["name"], head["dim"], head["ground"])
+        mechanism = Mechanism(head["name"], head["dim"], head["ground"], head["unit"])
     except InputError as error:
-        raise make_error(
-            str(error), document.locate_value("dim" if "dim" in str(error) else "ground")
-        ) from None
+        key = next((k for k in ("dim", "unit") if str(error).startswith(k)), "ground")
+        raise make_error(str(error), document.locate_value(key)) from None
     mechanism.tolerance = _read_tolerance(document)
     _TomlReader(document, mechanism).read_document()
     document.findings.raise_problems()

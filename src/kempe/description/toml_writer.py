@@ -20,6 +20,7 @@ from kempe.description.toml_document import FORMAT, NEWEST
 from kempe.errors import DescriptionError, Fault, InputError
 from kempe.joints import is_table_type
 from kempe.poses import Placement, place
+from kempe.units import METRE
 from kempe.values import Expression
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
@@ -50,7 +51,11 @@ def write_toml(mechanism: Mechanism) -> str:
             constraints.append(_make_constraint_table(c, m.dim))
     shapes = [_make_shape_table(b.name, s, m.dim) for b in m.bodies.values() for s in b.shapes]
     newer = (
-        shapes or m.groups or m.ignored_pairs or any("parent" not in table for table in constraints)
+        shapes
+        or m.groups
+        or m.ignored_pairs
+        or m.unit != METRE
+        or any("parent" not in table for table in constraints)
     )
     version = NEWEST if newer else FORMAT
     head: dict[str, Any] = {
@@ -58,9 +63,10 @@ def write_toml(mechanism: Mechanism) -> str:
         "name": m.name,
         "dim": m.dim,
         "ground": m.ground.name,
+        "unit": m.unit,
         "notes": list(m.notes),
     }
-    defaults: dict[str, Any] = {"dim": 3, "ground": "ground", "notes": []}
+    defaults: dict[str, Any] = {"dim": 3, "ground": "ground", "unit": METRE, "notes": []}
     if m.ignored_pairs:
         pairs = m.ignored_pairs.items()
         head["ignored_pairs"] = [(*pair, reason) if reason else pair for pair, reason in pairs]

@@ -15,6 +15,7 @@ import numpy as np
 from kempe import spatial
 from kempe.constraints.kinds import list_point_rows
 from kempe.description.formats import URDF
+from kempe.description.length_units import convert_to_metres
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Declared, Joint, Shape
 from kempe.description.source import Findings, choose_numbered_name
@@ -52,7 +53,7 @@ def write_urdf(mechanism: Mechanism) -> str:
     Postures, notes and the marks of actuated joints are left out. Errors: `DescriptionError`
     listing all that URDF cannot say, by `URDF.cannot` of `kempe.description.formats`.
     """
-    return UrdfWriter(mechanism).write_text()
+    return UrdfWriter(convert_to_metres(mechanism)).write_text()
 
 
 class UrdfWriter:

@@ -23,12 +23,21 @@ from kempe.arguments import (
     together,
 )
 from kempe.arrays import read_reals
+from kempe.description.length_units import convert_to_metres
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk
 from kempe.joints import Q, R
-from kempe.model.configurations import FIT, make_q, read_one_q, read_q, refuse_other_follower
+from kempe.model.configurations import (
+    FIT,
+    list_units,
+    make_q,
+    read_one_q,
+    read_q,
+    refuse_other_follower,
+)
 from kempe.model.coordinates import Follower, format_coordinate_name
 from kempe.spatial import Array
+from kempe.units import METRE, METRES, scale_lengths
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -391,14 +400,16 @@ class Correspondence:
     Joints are paired by name; a free base also with one of another name; and several joints of a
     body in MuJoCo with the one joint here that moves the body of that name. Followers are computed
     here and may be joints of their own there; so may joints that are locked or fixed here. Lengths
-    are in metres. All arrays may have leading axes.
+    of the model are metres; those of the system are in its unit. All arrays may have leading axes.
     """
 
     def __init__(
         self, system: Model, model: LibraryModel, tolerance: float = FIT, partial: bool = False
     ):
         library = _find_library(model)
-        self.system = system
+        self._in_unit = _Metres(system)
+        """Conversion of the system's slides, of which all else here is in metres."""
+        self.system = system = self._in_unit.system
         self.library = library.name
         self.tolerance = float(numbers(tolerance, "tolerance"))
         self.nq = int(model.nq)
@@ -531,7 +542,7 @@ class Correspondence:
         InputError
             For wrong shapes, and without the `base` that is needed.
         """
-        values = self._compute_entries(read_q(self.system, q))
+        values = self._compute_entries(self._in_unit.read_q(q))
         if base is None and self._whole < self.nq:
             raise InputError(
                 f"base is None; it must be a configuration of the {self.library} model, for "
@@ -572,7 +583,7 @@ class Correspondence:
             For wrong shapes, followers that do not fit, and numbers that are no cosine and sine.
         """
         values = self._read_entries(q)
-        start = self.system.neutral if base is None else read_q(self.system, base)
+        start = self.system.neutral if base is None else self._in_unit.read_q(base)
         lead = together({"q": values.shape[:-1], "base": start.shape[:-1]})
         out = np.broadcast_to(start, (*lead, self.system.nq)).copy()
         out[..., self._source_of[self._own]] = values[..., self._own]
@@ -582,7 +593,7 @@ class Correspondence:
             if e.follower is not None:
                 turn = 2.0 * math.pi if e.kind == CIRCLE else 0.0
                 self._refuse_misfit(f"coordinate {e.name!r}", e.follower, values, wanted, k, turn)
-        return out
+        return self._in_unit.write_q(out)
 
     def _add_whole_turns(self, q: Array, values: Array) -> None:
         """Add whole turns, in place, to angles known by cosine and sine, as a follower tells."""
@@ -662,8 +673,8 @@ class Correspondence:
             Velocities of the model, in its order and axes; 0 for joints that the system does not
             have.
         """
-        v = numbers(v, "v", self.system.nv)
-        values = self._compute_entries(read_q(self.system, q))
+        v = self._in_unit.convert_v(numbers(v, "v", self.system.nv))
+        values = self._compute_entries(self._in_unit.read_q(q))
         out = np.zeros((*_merge_leading_shapes(v.shape[:-1], values), self.nv))
         out[..., self._rate_at] = v @ self._spread.T
         for at, turn in self._list_axis_turns(values):
@@ -704,7 +715,7 @@ class Correspondence:
         for k, e in enumerate(self._rates):
             if e.follower is not None:
                 self._refuse_misfit(f"the velocity of {e.name!r}", e.follower, rates, wanted, k)
-        return out
+        return self._in_unit.write_v(out)
 
     def to_jacobian(self, q: Any, jacobian: ArrayLike) -> Array:
         """Convert Jacobians of the system to those of the model.
@@ -720,11 +731,12 @@ class Correspondence:
         -------
         Array
             Jacobians (..., m, nv of the model). Columns of followers are zero: the columns of their
-            leaders contain their motion.
+            leaders contain their motion. Rows stay in the unit of what they are derivatives of.
         """
         J = numbers(jacobian, "jacobian")
         _check_columns(J, self.system.nv)
-        values = self._compute_entries(read_q(self.system, q))
+        J = self._in_unit.write_v(J)  # by a metre of a slide instead of its unit
+        values = self._compute_entries(self._in_unit.read_q(q))
         out = np.zeros((*_merge_leading_shapes(J.shape[:-2], values), J.shape[-2], self.nv))
         out[..., self._rate_at[self._rate_own]] = J[..., self._rate_source[self._rate_own]]
         for at, turn in self._list_axis_turns(values):
@@ -757,7 +769,7 @@ class Correspondence:
         ).copy()
         for at, turn in self._list_axis_turns(values):
             straight[..., at] = straight[..., at] @ np.swapaxes(turn, -1, -2)
-        return straight[..., self._rate_at] @ self._spread
+        return self._in_unit.convert_v(straight[..., self._rate_at] @ self._spread)
 
     def _list_axis_turns(self, values: Array) -> list[tuple[slice, Array]]:
         """List velocities with other axes in the model, with rotations (..., n, n) to ours."""
@@ -781,6 +793,51 @@ def _check_columns(J: Array, nv: int) -> None:
     """Refuse an array that is no Jacobian with `nv` columns, with an `InputError`."""
     if J.ndim < 2 or J.shape[-1] != nv:
         raise InputError(f"jacobian has shape {J.shape}; it must be (..., m, {nv})")
+
+
+class _Metres:
+    """A system in metres, as other libraries have it, and conversions of its configurations.
+
+    A system that declares no other unit is left alone.
+    """
+
+    def __init__(self, system: Model):
+        self.given = system
+        self.system = system
+        if system.unit == METRE:
+            return
+        made: Any = type(system)
+        self.system = made(convert_to_metres(system.mechanism))
+        self._factor = METRES[system.unit]
+        unit = list_units(system)
+        self._q = [k for k, n in enumerate(system.coordinate_names) if unit[n] == system.unit]
+        names = system.structure.velocity_names
+        self._v = [k for k, n in enumerate(names) if unit[n] == system.unit]
+
+    def read_q(self, q: Any, read: Callable[[Model, Any], Array] = read_q) -> Array:
+        """Read configurations (..., nq) of the given system, and return them in metres."""
+        return self._scale(read(self.given, q), "_q", 1)
+
+    def write_q(self, q: Array) -> Array:
+        """Return configurations (..., nq) in the unit of the given system."""
+        return self._scale(q, "_q", -1)
+
+    def convert_v(self, v: Array) -> Array:
+        """Return velocities (..., nv) of the given system in metres per second."""
+        return self._scale(v, "_v", 1)
+
+    def write_v(self, v: Array) -> Array:
+        """Return velocities (..., nv) in the unit of the given system."""
+        return self._scale(v, "_v", -1)
+
+    def _scale(self, x: Array, slides: str, power: int) -> Array:
+        """Return numbers (..., n) by coordinate with those of slides multiplied."""
+        if self.system is self.given:
+            return x
+        out = np.array(x)
+        at = getattr(self, slides)
+        out[..., at] = scale_lengths(out[..., at], self._factor**power)
+        return out
 
 
 # ---- one call each
@@ -1058,7 +1115,9 @@ def to_joint_state(
     >>> kempe.convert.to_joint_state(arm, [0.1, 0.2], message).position
     [0.2, 0.1]
     """
-    q = read_one_q(system, q)
+    metres = _Metres(system)
+    system = metres.system
+    q = metres.read_q(q, read_one_q)
     laws = {name: Follower(name, 1.0, 0.0) for name in system.coordinate_names}
     laws |= system.structure.couplings
     known = [
@@ -1073,7 +1132,7 @@ def to_joint_state(
     message.name = names
     message.position = _evaluate_followers(system.coordinate_names, q, [laws[n] for n in names])
     if v is not None:
-        rates = numbers(v, "v", system.nv)
+        rates = metres.convert_v(numbers(v, "v", system.nv))
         still = [replace(laws[n], offset=0.0) for n in names]
         message.velocity = _evaluate_followers(system.structure.velocity_names, rates, still)
     return message
@@ -1137,7 +1196,9 @@ def from_joint_state(
     array([0. , 0.2])
     """
     given: Any = message
-    q = make_q(system, given, base)
+    metres = _Metres(system)
+    system = metres.system
+    q = metres.write_q(make_q(system, given, None if base is None else metres.read_q(base)))
     if not velocity:
         return q
     names = [str(n) for n in message.name]
@@ -1157,4 +1218,4 @@ def from_joint_state(
         if law is not None:
             wanted = law.multiplier * v[index[law.source]] if law.source else 0.0
             refuse_other_follower(f"the velocity of {name!r}", law, rate, wanted)
-    return q, v
+    return q, metres.write_v(v)

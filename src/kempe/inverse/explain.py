@@ -44,6 +44,7 @@ from kempe.inverse.tasks import freedoms
 from kempe.joints import P
 from kempe.kernels.forward.table_layout import MULTIPLIER, get_row_numbers
 from kempe.model.configurations import sample_configurations
+from kempe.model.model import Model
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.length_bounds import (
     GROUND,
@@ -54,6 +55,7 @@ from kempe.numerics.rank import Level, Spectrum
 from kempe.poses import correct_rotations
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.units import make_tolerance
 
 AT_LIMIT = 1e-9
 """How near to a limit a coordinate is at it."""
@@ -160,7 +162,9 @@ def _list_reasons(
     )
     found = found or _find_blocking_limits(task, target, q)
     if not found and (rank := _prove_overdetermined(task, target)):
-        rounded = suggest_tolerance(position, angle, span.largest) if rank.freedoms else None
+        rounded = (
+            suggest_tolerance(task.system, position, angle, span.largest) if rank.freedoms else None
+        )
         return [rank, rounded] if rounded else [rank]
     return [found or _explain_near_miss(task, position, angle) or _explain_not_found(task)]
 
@@ -212,7 +216,7 @@ def _prove_overdetermined(task: FrameProblem, target: Array) -> Evidence | None:
 
 
 def suggest_tolerance(
-    position: float, angle: float, length: float, one: bool = False
+    system: Model, position: float, angle: float, length: float, one: bool = False
 ) -> Evidence | None:
     """Suggest the tolerance that accepts a target which may have been rounded.
 
@@ -224,15 +228,19 @@ def suggest_tolerance(
     """
     if position > ROUNDED * length or angle > ROUNDED:
         return None
+    linear, angular = make_tolerance(TOLERANCE, system.unit)
     return make_evidence(
-        "rounded", metres=_round_up_error(position), radians=_round_up_error(angle), one=one
+        "rounded",
+        metres=_round_up_error(position, linear),
+        radians=_round_up_error(angle, angular),
+        one=one,
     )
 
 
-def _round_up_error(error: float) -> float:
+def _round_up_error(error: float, usual: float) -> float:
     """Round an error up to one digit, at least the usual tolerance."""
-    if error <= TOLERANCE[0]:
-        return TOLERANCE[0]
+    if error <= usual:
+        return usual
     unit = 10.0 ** math.floor(math.log10(error))
     return float(f"{math.ceil(error / unit * 1.001) * unit:.0e}")
 

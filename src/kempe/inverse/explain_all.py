@@ -86,7 +86,7 @@ def explain_target(solutions: Solutions, index: int) -> str:
     rounded = None
     if why[0].kind == "rank":
         longest = make_frame_problem(problem).chain.span.largest
-        rounded = suggest_tolerance(position, angle, longest, one=True)
+        rounded = suggest_tolerance(problem.system, position, angle, longest, one=True)
     limits = " inside the limits" if np.isfinite(plan.lines.limits).any() else ""
     place = None if problem.task in TURNS else position
     turn = None if problem.task == "position" else angle

@@ -115,7 +115,9 @@ def explain_target(answer: Reached, index: tuple[int, ...]) -> str:
     rounded = None
     if failing and any(x.figures.get("rank") for x in why):
         place, turn = np.max([misses[t.label] for t in failing], axis=0).tolist()
-        rounded = suggest_tolerance(place, turn, compute_characteristic_length(problem.system))
+        rounded = suggest_tolerance(
+            problem.system, place, turn, compute_characteristic_length(problem.system)
+        )
     still = describe_immovable_coordinates(problem.system)
     return wording.describe_failure(
         wording.describe_vain_starts("reached", starts), what, *why, rounded, near, soft, still

@@ -49,6 +49,7 @@ from kempe.model.model import bind_call
 from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status, to_status
+from kempe.units import make_tolerance
 
 if TYPE_CHECKING:
     from kempe.constraints.base import Constraint
@@ -58,8 +59,6 @@ if TYPE_CHECKING:
 # ---- the bound form of plain calls
 
 # All is looked up but the target and the start.
-
-LENGTH, ANGLE = TOLERANCE
 
 
 def bind_plain_calls(frame_problem: FrameProblem, task: str | None, shape: tuple[int, ...]) -> None:
@@ -75,7 +74,8 @@ def bind_plain_calls(frame_problem: FrameProblem, task: str | None, shape: tuple
     )
 
     def make_call() -> Any:
-        usual = replace(frame_problem, tolerance=TOLERANCE, starts=MOST, rng=0)
+        tolerance = make_tolerance(TOLERANCE, system.unit)
+        usual = replace(frame_problem, tolerance=tolerance, starts=MOST, rng=0)
         return BoundIk(usual, shape).__call__  # a method, which takes less time to call
 
     if plain and frame_problem.axis == Z_AXIS and not chain.ints[HAS_QUATERNION]:
@@ -87,6 +87,7 @@ class BoundIk:
 
     def __init__(self, frame_problem: FrameProblem, shape: tuple[int, ...]):
         self.requested = frame_problem
+        self.length, self.angle = frame_problem.tolerance
         self.chain = frame_problem.chain
         self.rows = problem.pack_row_flags(frame_problem)
         system = frame_problem.system
@@ -174,8 +175,8 @@ class BoundIk:
                 0,
                 FEW,
                 ITERATIONS,
-                LENGTH,
-                ANGLE,
+                self.length,
+                self.angle,
                 0.0,
                 out,
             )

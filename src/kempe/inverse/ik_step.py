@@ -39,6 +39,7 @@ from kempe.poses import correct_rotations, read_pose_array
 from kempe.report import by_code
 from kempe.spatial import Array, log_so3
 from kempe.status import Status
+from kempe.units import from_metres
 
 if TYPE_CHECKING:
     from kempe.equations.tasks import Task
@@ -125,8 +126,9 @@ class IkStep(Answer):
             said = ", ".join(f"{a!r} and {b!r}" for a, b in self.held_apart)
             why.append(f"kept apart: {said}")
         if default:
+            sliding = from_metres(SLIDING, self.system.unit)
             why.append(
-                f"at the default speed (pi rad/s, {SLIDING:.3g} m/s): "
+                f"at the default speed (pi rad/s, {sliding:.3g} {self.system.unit}/s): "
                 f"{', '.join(map(repr, default))}"
             )
         return f"{text}: {'; '.join(why)}" if why else text
@@ -750,7 +752,7 @@ def _is_pose(x: Array) -> bool:
 
 @keep_answers
 def list_speed_limits(system: Model) -> Array:
-    """List the largest speeds (nv,) of steps, in rad/s and m/s.
+    """List the largest speeds (nv,) of steps, in rad/s and units of length per second.
 
     They are the system's velocity limits, else `TURNING` and `SLIDING`.
 
@@ -759,13 +761,14 @@ def list_speed_limits(system: Model) -> Array:
     """
     table = remove_cut_marks(system).structure.table
     given = system.structure.velocity_limits
-    usual = np.where(system.structure.coordinates.turning, TURNING, SLIDING)
+    sliding = from_metres(SLIDING, system.unit)
+    usual = np.where(system.structure.coordinates.turning, TURNING, sliding)
     usual[system.structure.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
     for kind, v, m in zip(
         table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True
     ):
         if kind != BALL:
-            usual[v] = min(usual[v], (TURNING if kind == TURN else SLIDING) / abs(m))
+            usual[v] = min(usual[v], (TURNING if kind == TURN else sliding) / abs(m))
     return np.where(np.isfinite(given), given, usual)
 
 

@@ -52,6 +52,7 @@ from kempe.numerics.clock import SHORT, TimeLimit
 from kempe.poses import correct_rotations
 from kempe.spatial import Array
 from kempe.status import Status, to_status
+from kempe.units import make_tolerance
 
 # ---- the nearest of all solutions in closed form
 
@@ -245,7 +246,9 @@ def _solve_chain(problem: Problem, plan: ChainPlan | None) -> Solution:
         name,
         problem.targets,
         *problem.task,
-        PROBLEM_TOLERANCE if tolerance is None else read_tolerances(tolerance),
+        make_tolerance(PROBLEM_TOLERANCE, system.unit)
+        if tolerance is None
+        else read_tolerances(tolerance),
         read_start_count(spend.starts),
         draw_seed(spend.rng),
         chain,

@@ -52,6 +52,7 @@ from kempe.poses import check_poses, correct_rotations, read_pose_array
 from kempe.report import Table
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.units import make_tolerance
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -65,7 +66,7 @@ if TYPE_CHECKING:
 # way alone is no jump.
 
 TOLERANCE = 1e-10
-"""Largest error of the targets along a path, in metres and radians."""
+"""Largest error of the targets along a path, in metres and radians; see `make_tolerance`."""
 DEPTH = 12
 """How often the way between two targets is halved before it counts as a jump."""
 SMALL = 0.02
@@ -151,8 +152,10 @@ class PathSteps:
         self.problem = replace(problem, tasks=tasks)
         self.max_step = max_step
         self.budget = budget
-        self.given = min(problem.tolerance)
-        self.calm = CALM if self.given > TOLERANCE else 0.0
+        usual = make_tolerance(TOLERANCE, problem.system.unit)
+        self.loose = all(x > y for x, y in zip(problem.tolerance, usual, strict=True))
+        """Whether both tolerances are wider than the usual ones."""
+        self.calm = CALM if self.loose else 0.0
         self.system = problem.system
         self.scale = problem.packed.scale
         self.progress = progress
@@ -174,7 +177,7 @@ class PathSteps:
         layout = self.system.structure.layout
         counted = (packed.rows >= 0).astype(np.int64)
         plain = (
-            self.given <= TOLERANCE
+            not self.loose
             and not packed.closed
             and self.counts.all()
             and not packed.one_sided.declared
@@ -313,7 +316,7 @@ class PathSteps:
 
         Returns None where this fails.
         """
-        x = self.repeat_truncated_step(problem, q, before) if self.given > TOLERANCE else None
+        x = self.repeat_truncated_step(problem, q, before) if self.loose else None
         good = (
             x is not None and make_checked_answer(problem, x[None], np.full((1, 3), SOLVED)).success
         )
@@ -767,7 +770,9 @@ def solve_path(problem: Problem) -> IkPath:
     start = problem.start
     options = problem.options
     spend = USUAL.complete_budget(problem.budget)
-    tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
+    tolerance = problem.tolerance
+    if tolerance is None:
+        tolerance = make_tolerance(TOLERANCE, system.unit)
     restart = options["restart"]
     time = TimeLimit(spend.time_limit)
     time.release_reserved_time()  # there is nothing to do afterwards

@@ -34,6 +34,7 @@ from kempe.model.configurations import read_q
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, limit_preparation_time
 from kempe.numerics.curves import NONE, Node, walk_curve
 from kempe.spatial import Array, ArrayLike
+from kempe.units import make_tolerance
 from kempe.words import format_count, join_words
 
 if TYPE_CHECKING:
@@ -244,7 +245,7 @@ def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
 
     Errors: `InputError` where the tasks do not hold.
     """
-    problem, start = make_demands(system, wanted, q, TOLERANCE, 1)
+    problem, start = make_demands(system, wanted, q, make_tolerance(TOLERANCE, system.unit), 1)
     rows = pack_one_sided_rows(system)
     if problem.lead:
         raise InputError(
@@ -252,7 +253,9 @@ def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
         )
     problem = replace(problem, tasks=tuple(t.copy_without_tolerance() for t in problem.tasks))
     at = make_checked_answer(
-        replace(problem, tolerance=(1e-6, 1e-6)), start, np.zeros((1, 3), dtype=np.int64)
+        replace(problem, tolerance=make_tolerance(1e-6, system.unit)),
+        start,
+        np.zeros((1, 3), dtype=np.int64),
     )
     if not at:
         over = [name for name, far in zip(rows.names, rows.compute_excess(q), strict=True) if far]

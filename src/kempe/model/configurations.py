@@ -566,13 +566,15 @@ def compute_distance(system: Model, q0: Any, q1: Any) -> Array:
 
 @keep_answers
 def list_units(system: Model) -> dict[str, str]:
-    """Return the unit of each coordinate and velocity by name: 'rad', 'm', or '' in a quaternion."""
+    """Return the unit of each coordinate and velocity by name: 'rad', '' in a quaternion, or that
+    of lengths.
+    """
     out: dict[str, str] = {}
     bodies = system._mechanism.bodies
     for joint in system.structure.joints.values():
         particle = bodies[joint.child].particle
         names, primitives = joint.type.layout(system.dim, particle)
-        own = {p.coordinate: "m" for p in primitives if p.kind == P}
+        own = {p.coordinate: system.unit for p in primitives if p.kind == P}
         own |= {p.coordinate: "rad" for p in primitives if p.kind == R}  # of a screw, too
         for i, name in enumerate(names):
             out[format_coordinate_name(joint.name, name)] = own.get(i, "")
@@ -582,7 +584,9 @@ def list_units(system: Model) -> dict[str, str]:
 
 
 def list_parameter_units(system: Model) -> dict[str, str]:
-    """Return the unit of each parameter by name: 'rad' if placements turn by it, else 'm'."""
+    """Return the unit of each parameter by name: 'rad' if placements turn by it, else that of
+    lengths.
+    """
     mechanism = system._mechanism
     ends = [X for joint in mechanism.joints.values() for X in (joint.X_PF, joint.X_CM)]
     ends += [frame.X_BF for frame in mechanism.frames.values()]
@@ -593,7 +597,7 @@ def list_parameter_units(system: Model) -> dict[str, str]:
         for x in numbers
         for name in find_angle_names(x, motion in ("rx", "ry", "rz"))
     }
-    return {name: "rad" if name in angles else "m" for name in mechanism.parameters}
+    return {name: "rad" if name in angles else system.unit for name in mechanism.parameters}
 
 
 def list_limits(system: Model) -> dict[str, Quantity]:

@@ -336,6 +336,11 @@ class Model:
         return self._mechanism.dim
 
     @property
+    def unit(self) -> str:
+        """Unit of lengths: "m", or what the mechanism declares, such as "mm"."""
+        return self._mechanism.unit
+
+    @property
     def mechanism(self) -> Mechanism:
         """A copy of the description, which can be changed and built again."""
         return self._mechanism.copy()

@@ -271,7 +271,7 @@ def plot_path(
         how: dict[str, Any] = {
             "color": style.choose_link_colour(k + 1),
             "lw": 1.7,
-            "ls": "--" if unit[name] == "m" else "-",
+            "ls": "--" if unit[name] == system.unit else "-",
         }
         how |= {
             "marker": MARKERS[k % len(MARKERS)],
@@ -300,7 +300,7 @@ def plot_path(
     page.draw_light_axes(ax)
     kinds = [
         text
-        for u, text in (("rad", "angles [rad]"), ("m", "slides [m]"))
+        for u, text in (("rad", "angles [rad]"), (system.unit, f"slides [{system.unit}]"))
         if u in {unit[n] for n in chosen}
     ]
     ax.set_ylabel(", ".join(kinds) or "coordinates", size=style.FONT, color=style.INK)
@@ -323,7 +323,7 @@ def _list_neighbours(system: Model, q: Array) -> Array:
     if has_loops(system) or not 0 < system.nv <= FEW:
         return np.zeros((0, system.nq))
     slides = [
-        unit == "m"
+        unit == system.unit
         for unit in (list_units(system).get(n, "") for n in system.structure.velocity_names)
     ]
     steps = np.diag([SLIDE * build_scene(system, q).size if slide else TURN for slide in slides])

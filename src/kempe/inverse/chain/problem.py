@@ -27,8 +27,8 @@ up."""
 ITERATIONS = 40
 """Steps of one start; those that converge need 5 to 9, few as many as 40, and hopeless ones are
 given up before."""
-TOLERANCE = (1e-6, 1e-6)
-"""Largest position error [m] and rotation angle [rad] of a success."""
+TOLERANCE = 1e-6
+"""Largest position error [m] and rotation angle [rad] of a success; see `make_tolerance`."""
 ROUND = 32
 """Starts of a round where there is a time limit: all targets get these before one gets more."""
 LONG = 16

@@ -55,6 +55,7 @@ from kempe.numerics.clock import EndReached, TimeLimit
 from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 from kempe.status import MEMBERS, Status
+from kempe.units import make_tolerance
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -604,8 +605,9 @@ def compute_level_values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
 
 # ---- `ik` for several tasks
 
-TOLERANCE = (1e-6, 1e-6)
-"""Largest error in metres and radians of a hard task that has no tolerance of its own."""
+TOLERANCE = 1e-6
+"""Largest error in metres and radians of a hard task that has no tolerance of its own; see
+`make_tolerance`."""
 SLACK = 1.0 + 1e-6
 """By which part of a tolerance the check by the forward model may differ from the solver's own:
 rounding."""
@@ -641,14 +643,13 @@ def reach_tasks(problem: Problem) -> Reached:
             f"prefer is {format_value(prefer)}; it must be {', '.join(map(repr, PREFERRED))} or a "
             "function of q"
         )
-    tolerance = TOLERANCE if problem.tolerance is None else problem.tolerance
     starts = spend.starts
     threads = spend.threads
     turns = prefer is None or prefer == "nearest"
     time = TimeLimit(USUAL.complete_budget(problem.budget).time_limit)
     find_nearest_exact_in_time(USUAL, time, system)
     demands, base = make_demands(
-        system, problem.wanted, problem.start, tolerance, starts, spend.rng, turns
+        system, problem.wanted, problem.start, problem.tolerance, starts, spend.rng, turns
     )
     search = Demands.run_search if starts is not None else search_by_effort
     limit = spend.time_limit if demands.lead else time.limit
@@ -693,7 +694,7 @@ def make_demands(
     system: Model,
     wanted: Constraint | Sequence[Constraint],
     start: Any = None,
-    tolerance: Any = TOLERANCE,
+    tolerance: Any = None,
     starts: int | None = STARTS,
     rng: Any = 0,
     turns: bool = False,
@@ -725,7 +726,7 @@ def make_demands(
         goals,
         pins,
         lead,
-        TOLERANCE if tolerance is TOLERANCE else read_tolerances(tolerance),
+        make_tolerance(TOLERANCE, system.unit) if tolerance is None else read_tolerances(tolerance),
         most,
         draw_seed(rng),
         use,

@@ -455,7 +455,7 @@ def _mark_lengths(system: Model) -> list[bool]:
     from kempe.model.configurations import list_units
 
     unit = list_units(system)
-    return [unit.get(name) == "m" for name in system.coordinate_names]
+    return [unit.get(name) == system.unit for name in system.coordinate_names]
 
 
 def _join_pieces(carrier: int, pieces: Sequence[DrawnPiece]) -> RigidPart:
