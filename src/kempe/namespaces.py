@@ -18,15 +18,17 @@ from kempe.spatial import Array
 if TYPE_CHECKING:
     from sympy import Expr, Matrix
 
-    from kempe.argument_types import ConfigurationLike, StartLike, TaskLike
+    from kempe.argument_types import ConfigurationLike, MotionLike, StartLike, TaskLike
     from kempe.assemble.bound import Assembler
     from kempe.assemble.dyads import Incomplete, Plan
     from kempe.budget import Budget
+    from kempe.constraints.base import Constraint
     from kempe.equations.closure_rows import SystemConstraint
     from kempe.forward.symbolic_closure import SymbolicClosure
     from kempe.forward.symbolic_dh import DHTable
     from kempe.forward.symbolic_steps import ShortForm, SymbolicSteps
     from kempe.geometry.clearance import NearestBodies
+    from kempe.geometry.path_clearance import PathClearance
     from kempe.inverse.describe import Recognised
     from kempe.inverse.formulas import InverseFormulas
     from kempe.inverse.self_motion import SelfMotion
@@ -1167,3 +1169,64 @@ class BodyGeometry(Namespace):
         from kempe.geometry.clearance import find_nearest_bodies
 
         return find_nearest_bodies(self.system, q, pairs)
+
+    @explain_errors
+    def check_path(
+        self, path: MotionLike, clearance: Constraint | Sequence[Constraint]
+    ) -> PathClearance:
+        """Check whether bodies keep a distance along a path, between its configurations, too.
+
+        Parameters
+        ----------
+        path
+            Configurations (n, nq), or an answer that has them. Between two of them the coordinates
+            move straight. Rows that are not finite are left out, and the ways to them.
+        clearance
+            `Clearance`, or a list of them.
+
+        Returns
+        -------
+        PathClearance
+            True if the distances are kept; else the `encounter`, the first place where two bodies
+            come too near.
+
+        Raises
+        ------
+        InputError
+            For wrong shapes, for what is no clearance, and as `clearance`.
+        UnknownNameError, MissingExtraError
+            As `clearance`.
+
+        See Also
+        --------
+        System.ik_path : follows targets and keeps clearances.
+
+        Notes
+        -----
+        Conservative advancement (Mirtich, 1996; Schwarzer, Saha and Latombe, 2005): the distance of
+        two bodies in the middle of a piece of the way, less a bound on how much nearer their points
+        come within the piece, is a lower bound on all of the piece. The bound adds, over the joints
+        between the bodies, the motion of the joint times the largest distance of the shape from its
+        axis. Pieces for which it is not enough are halved, down to 1 / 4096 of the way between two
+        configurations; where a distance stays within the bound, the answer says "not decided". So a
+        path that is called clear is clear, up to rounding (about 1e-6 m) and, for systems with
+        closed loops, as far as the loops stay closed on straight ways.
+
+        Examples
+        --------
+        >>> import kempe
+        >>> from kempe.constraints import Clearance
+        >>> m = kempe.Mechanism("arm")
+        >>> link = m.body("link")
+        >>> m.revolute("A", m.ground, link, at=(0, 0, 1), axis="z")  # doctest: +ELLIPSIS
+        Joint(...)
+        >>> shape = m.shape(link, "sphere", radius=0.1, at=(1, 0, 0))
+        >>> post = m.obstacle("post", "sphere", radius=0.1, at=(0, 1, 1))
+        >>> arm = m.build()
+        >>> found = arm.geometry.check_path([[0.0], [1.0], [2.0]], Clearance(at_least=0.02))
+        >>> print(found.encounter.piece, found.encounter.part, found.encounter.pair)
+        1 0.5 ('link', 'post')
+        """
+        from kempe.geometry.path_clearance import check_path
+
+        return check_path(self.system, path, clearance)

@@ -58,6 +58,7 @@ class Status(IntEnum):
     INTERRUPTED = 10, "interrupted from the keyboard; this is the part that was done"
     DEAD_POINT = 11, "a dead point: the inputs cannot move independently"
     UNDETERMINED = 12, "what was requested is not determined by what was given"
+    TOO_NEAR = 13, "bodies come nearer to one another than clearances allow"
 
     def __new__(cls, value: int, sentence: str, proof: bool = False) -> Status:
         """Make the member with this number and sentence."""

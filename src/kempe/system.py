@@ -1095,6 +1095,7 @@ class System(Model, Pictured):
         branches: bool | Literal["best"] = False,
         cost: Literal["motion", "limits", "singularities"] | Callable[[Any], float] = "motion",
         closed: bool = False,
+        clearance: Constraint | Sequence[Constraint] | None = None,
         tolerance: float | tuple[float, float] | None = None,
         budget: Budget | None = None,
     ) -> IkPath:
@@ -1128,6 +1129,12 @@ class System(Model, Pictured):
             The path ends in its first configuration; the last target must be the first one again.
             Joints that the targets leave free are moved back on the way. A path that does not
             return misses its last target, and says so.
+        clearance
+            `Clearance`, or a list of them. Bodies then keep their distances at the targets and on
+            straight ways of the coordinates between them, as `BodyGeometry.check_path` proves it.
+            The first target is reached clear of everything, if need be elsewhere. Of `branches`
+            the clear ones count. A way that comes too near ends the path, or with `restart` makes
+            it jump; the status names the place and the pair, `encounters` has them.
         tolerance
             Largest error in metres and radians (default: 1e-10). A larger value is for rounded
             targets: the path may then leave out what a singularity prevents, within the tolerance.
@@ -1156,7 +1163,7 @@ class System(Model, Pictured):
         halved (straight lines, rotations by the exponential map). A rotation of joints that leaves
         the way of the targets unchanged is not a jump. Where even the shortest step fails, the path
         is tried again from the start with small self-motions away from the limits, if the targets
-        leave freedoms.
+        leave freedoms, or away from bodies that come too near for a `clearance`.
 
         A path that violates velocity constraints by more than the curvature between targets
         explains is refused with its place. If the targets leave freedoms, a path that rolls without
@@ -1174,6 +1181,7 @@ class System(Model, Pictured):
             branches=branches,
             cost=cost,
             closed=closed,
+            clearance=clearance,
             tolerance=tolerance,
             budget=budget,
         )

@@ -374,3 +374,90 @@ def test_steps_lead_out_of_a_collision():
         assert distance(s, x) > 0.0
         out += bool(distance(s, x) >= AT_LEAST - 1e-6)
     assert out >= len(begun) / 2
+
+
+# ---- paths
+
+
+def straight_targets(s: kempe.System, start: np.ndarray, goal: np.ndarray, n: int) -> np.ndarray:
+    """Targets (n, dim) on the straight way of the tip to a goal (2,)."""
+    tip = s.fk(start, "tip")[:2, 3]
+    way = tip + np.linspace(0, 1, n)[:, None] * (goal - tip)
+    return np.pad(way, ((0, 0), (0, s.dim - 2)))
+
+
+def test_hunt_paths_are_clear_in_dense_samples(hunt):
+    rng = hunt.rng()
+    keep = Clearance("self", at_least=AT_LEAST)
+    clear = stopped = 0
+    for case in range(hunt.cases(10)):
+        s = planar_arm(rng, discs=5, dim=2 + case % 2)
+        start = s.random(rng, 200)
+        start = start[distance(s, start) > AT_LEAST + 0.01][0]
+        targets = straight_targets(s, start, rng.uniform(-0.9, 0.9, 2), 25)
+        path = s.ik_path(targets, "tip", start, clearance=keep)
+        n = int(path.success.sum())
+        assert path.success[:n].all()
+        np.testing.assert_allclose(s.fk(path.q[:n], "tip")[:, :2, 3], targets[:n, :2], atol=1e-8)
+        u = np.linspace(0, 1, 60)[:, None, None]
+        q = path.q[:n]
+        dense = (q[:-1] + u * (q[1:] - q[:-1])).reshape(-1, 3)
+        assert distance(s, dense).min(initial=np.inf) >= AT_LEAST - 1e-6
+        assert s.geometry.check_path(path, keep)
+        if path:
+            clear += 1
+        elif path.encounters:
+            stopped += 1
+            met = path.encounters[0]
+            assert met.piece == n - 1 and f"from target {n - 1} to {n}" in path.status
+            assert all(repr(name) in path.status for name in met.pair)
+    assert clear or stopped
+
+
+def test_self_motions_lead_a_path_past_what_the_shortest_steps_meet():
+    rng = np.random.default_rng(11)
+    s = planar_arm(rng, discs=3)
+    start = s.random(rng, 200)
+    start = start[distance(s, start) > AT_LEAST + 0.01][0]
+    targets = straight_targets(s, start, rng.uniform(-0.9, 0.9, 2), 25)
+    keep = Clearance("self", at_least=AT_LEAST)
+    without = s.ik_path(targets, "tip", start)
+    assert without and not s.geometry.check_path(without, keep)
+    path = s.ik_path(targets, "tip", start, clearance=keep)
+    assert path and s.geometry.check_path(path, keep)
+
+
+def test_the_branch_that_is_clear_is_taken():
+    """The elbow of one branch meets a disc, that of the other does not."""
+    m = kempe.Mechanism("arm", dim=2)
+    for name, last, at in (("upper", m.ground, (0, 0)), ("lower", "upper", (0.4, 0))):
+        m.revolute(f"of {name}", last, m.body(name), at=at)
+        m.shape(name, "capsule", radius=0.03, length=0.4, at=(0.2, 0, 0), axis="x")
+    m.frame("tip", "lower", at=(0.4, 0))
+    m.obstacle("disc", "sphere", radius=0.05, at=(0.3, 0.3, 0))
+    s = m.build()
+    keep = Clearance("self", at_least=AT_LEAST)
+    targets = np.linspace((0.6, -0.1), (0.45, 0.1), 12)
+    up = s.ik([Position("tip", targets[0])], start=[0.9, -1.5]).q
+    begun = s.ik_path(targets, "tip", up)
+    assert begun and not s.geometry.check_path(begun, keep)
+    assert s.geometry.check_path(begun.q[:1], keep)
+    stopped = s.ik_path(targets, "tip", up, clearance=keep)
+    assert not stopped and "'upper' and 'disc'" in stopped.status
+    assert "is reached by a jump" in stopped.status
+    best = s.ik_path(targets, "tip", up, clearance=keep, branches="best")
+    assert best and (np.sin(best.q[:, 1]) > 0).all() and s.geometry.check_path(best, keep)
+    again = s.ik_path(targets, "tip", up, clearance=keep, restart=True)
+    assert again.success.all() and len(again.jumps) == 1
+    for q in np.split(again.q, again.jumps):
+        assert s.geometry.check_path(q, keep)
+
+
+def test_a_path_whose_first_target_is_not_clear_does_not_begin():
+    s = planar_arm(np.random.default_rng(3))
+    center = discs_of(s)[0][0]
+    path = s.ik_path([center, center], "tip", clearance=Clearance(at_least=AT_LEAST))
+    assert not path.success.any() and "target 0 is not reached" in path.status
+    assert "'link 2' and 'disc 0' overlap by" in path.status
+    with pytest.raises(InputError, match="must be a kempe.constraints.Clearance"):
+        s.ik_path([center], "tip", clearance=AT_LEAST)

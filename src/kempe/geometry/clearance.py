@@ -127,9 +127,27 @@ def find_nearest_bodies(system: Model, q: Any, pairs: Pairs | None = None) -> Ne
     for row, (a, b), (p, r), d in zip(gradient, pairs_, points, distance, strict=True):
         apart = (r - p) / d if d != 0.0 else np.zeros(3)
         for sign, name, x in ((-1.0, a, p), (1.0, b, r)):
-            arm = x - at[name][:3, 3]
-            row += sign * (apart @ J[name][:3] + np.cross(arm, apart) @ J[name][3:])
+            row += sign * _compute_point_rate(J[name], x - at[name][:3, 3], apart)
     return NearestBodies(system, q, pairs_, distance, points, gradient)
+
+
+def compute_gap_gradients(system: Model, watch: Watch, q: Array, gaps: Sequence[Gap]) -> Array:
+    """Compute the derivatives (n, nv) of distances at q (nq,) by the velocities."""
+    names = {name for gap in gaps for name in watch.name_bodies(gap.couple)}
+    X = {name: fk(system, q, name) for name in names}
+    J = {name: jacobian(system, q, name) for name in names}
+    out = np.zeros((len(gaps), system.nv))
+    for row, gap in zip(out, gaps, strict=True):
+        for sign, name, x in zip(
+            (-1.0, 1.0), watch.name_bodies(gap.couple), gap.points, strict=True
+        ):
+            row += sign * _compute_point_rate(J[name], x - X[name][:3, 3], gap.normal)
+    return out
+
+
+def _compute_point_rate(J: Array, arm: Array, direction: Array) -> Array:
+    """Compute how fast (nv,) a point `arm` (3,) away from the origin of a frame moves in a direction."""
+    return direction @ J[:3] + np.cross(arm, direction) @ J[3:]
 
 
 class Watch(NamedTuple):

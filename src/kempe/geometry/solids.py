@@ -217,7 +217,7 @@ class Placed:
         best = np.inf
         points = (np.zeros(3), np.zeros(3))
         for i, j in self._solids.list_couples(pair):
-            d = self._measure_solids(i, j)
+            d = self.measure_solids(i, j)
             if d < best:
                 best = d
                 found = self._result
@@ -235,7 +235,7 @@ class Placed:
         for k in np.argsort(bound).tolist():
             if bound[k] >= best:
                 break
-            best = min(best, self._measure_solids(int(i[k]), int(j[k])))
+            best = min(best, self.measure_solids(int(i[k]), int(j[k])))
         return best
 
     def list_gaps(self, couples: np.ndarray, within: Array) -> list[Gap]:
@@ -245,14 +245,14 @@ class Placed:
         bound = np.linalg.norm(self._centers[i] - self._centers[j], axis=1) - reach
         out: list[Gap] = []
         for k in np.flatnonzero(bound < within).tolist():
-            d = self._measure_solids(int(i[k]), int(j[k]))
+            d = self.measure_solids(int(i[k]), int(j[k]))
             if d < within[k]:
                 found = self._result
                 points = (np.ravel(found.getNearestPoint1()), np.ravel(found.getNearestPoint2()))
                 out.append(Gap(k, d, points, np.ravel(found.normal).copy()))
         return out
 
-    def _measure_solids(self, i: int, j: int) -> float:
+    def measure_solids(self, i: int, j: int) -> float:
         """Measure the distance of two solids."""
         self._result.clear()
         a, b = (self._solids.shapes[k] for k in (i, j))

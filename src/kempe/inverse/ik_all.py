@@ -21,10 +21,10 @@ from kempe.answers.targets import (
     split_task,
 )
 from kempe.arguments import explain_errors
-from kempe.arrays import FARTHEST, is_sequence
+from kempe.arrays import FARTHEST
 from kempe.budget import Budget
-from kempe.constraints.clearances import Apart
-from kempe.errors import InputError, UnsupportedError, format_value
+from kempe.errors import InputError, UnsupportedError
+from kempe.geometry.path_clearance import read_clearances
 from kempe.inverse.all_answer import Solutions
 from kempe.inverse.closed_forms.problem import read_fixed_values
 from kempe.inverse.solve_all import BATCH, SOLVERS, USUAL, select_clear_solutions
@@ -88,21 +88,11 @@ def ik_all(
     problem = problem._replace(options={"time": time})
     answer = solver.run(problem)
     if clearance is not None:
-        answer = select_clear_solutions(answer, _read_clearances(answer, clearance))
+        clearances = read_clearances(clearance)
+        if not isinstance(answer, Solutions):
+            raise UnsupportedError(
+                "clearance: the frame moves with loops, or with joints that follow others; "
+                "system.geometry.clearance measures the modes"
+            )
+        answer = select_clear_solutions(answer, clearances)
     return record_choice(answer, choice)
-
-
-def _read_clearances(answer: Any, clearance: Any) -> list[Apart]:
-    """Read one clearance, or several. Errors: `InputError`; `UnsupportedError` for modes."""
-    given = list(clearance) if is_sequence(clearance) else [clearance]
-    if not given or not all(isinstance(c, Apart) for c in given):
-        raise InputError(
-            f"clearance is {format_value(clearance)}; it must be a kempe.constraints.Clearance, or "
-            "a list of them"
-        )
-    if not isinstance(answer, Solutions):
-        raise UnsupportedError(
-            "clearance: the frame moves with loops, or with joints that follow others; "
-            "system.geometry.clearance measures the modes"
-        )
-    return given

@@ -27,6 +27,10 @@ from kempe.equations.packed_tasks import refuse_goal
 from kempe.equations.slip import Slip, compute_unit_rows, find_first_slip, has_velocity_constraints
 from kempe.equations.tasks import Goal
 from kempe.errors import InputError
+from kempe.forward.fk import fk
+from kempe.geometry.clearance import compute_gap_gradients, watch_clearances
+from kempe.geometry.path_clearance import Encounter, PathGuard, read_clearances
+from kempe.inverse.answer import Reached
 from kempe.inverse.best_path import (
     Home,
     close_path,
@@ -37,6 +41,7 @@ from kempe.inverse.best_path import (
 )
 from kempe.inverse.chain.serial_chain import move_inside_limits
 from kempe.inverse.tasks.demands import STARTS, Demands, find_untouched_places
+from kempe.inverse.tasks.keep_clear import ClearSearch
 from kempe.inverse.tasks.search import make_checked_answer, make_demands
 from kempe.kernels.base.search_layout import SOLVED
 from kempe.kernels.compiled import path_steps
@@ -423,6 +428,10 @@ class PathSteps:
                 )
             ]
         ] = 0.0
+        return self.move_by_self_motion(i, q, pull, strength)
+
+    def move_by_self_motion(self, i: int, q: Array, pull: Array, strength: float) -> Array:
+        """Move by a small self-motion at target i along a scaled velocity (nv,); returns q (nq,)."""
         way = self.project_on_self_motions(i, q, pull)
         size = float(np.linalg.norm(way))
         if size < 1e-9:
@@ -553,22 +562,24 @@ def remove_slip(way: PathSteps, path: IkPath, begin: int) -> IkPath:
     if reached == len(q) - 1:
         status = f"{len(q) - begin} of {format_count(len(q), 'target')} followed, without slip"
         return replace(path, q=q, success=np.arange(len(q)) >= begin, jumps=(), reason=status)
-    return _cut_path(path, slip, int(good[0]))
+    return _cut_slipping_path(path, slip, int(good[0]))
 
 
-def _cut_path(path: IkPath, slip: Slip, first: int) -> IkPath:
+def _cut_slipping_path(path: IkPath, slip: Slip, first: int) -> IkPath:
     """Cut the path before it slips."""
     k = first + slip.index
+    why = f"before target {k}: on the way there it {slip.text}; getting there is a manoeuvre"
+    return _cut_path(path, k, why)
+
+
+def _cut_path(path: IkPath, k: int, why: str) -> IkPath:
+    """Cut the path before target k."""
     q = path.q.copy()
     success = path.success.copy()
     q[k:] = np.nan
     success[k:] = False
     many = int(success.sum())
-    followed = f"{many} of {format_count(len(q), 'target')} followed"
-    status = (
-        f"{followed}; stops before target {k}: on the way there it {slip.text}; getting there is a "
-        "manoeuvre"
-    )
+    status = f"{many} of {format_count(len(q), 'target')} followed; stops {why}"
     return replace(path, q=q, success=success, jumps=(), reason=status)
 
 
@@ -638,6 +649,10 @@ ROUNDING = 1e-12
 """How far outside its limits a coordinate may seem to be."""
 ROUNDED = 1e-3
 """Largest tolerance that is named where targets seem to be rounded."""
+REPELLING = (0.02, 0.2)
+"""Strengths with which paths keep near bodies apart that are tried where these come too near."""
+NEAR = 0.25
+"""How much further than asked bodies are apart that are near, in characteristic lengths."""
 AVOIDING = (0.02, 0.2)
 """Strengths with which paths keep away from limits that are tried where the shortest steps end."""
 TRIED = 16
@@ -659,6 +674,9 @@ class IkPath(Configurations):
         Targets that are reached, but not continuously from the target before.
     status
         Where and why the path jumps or stops.
+    encounters
+        Where two bodies would come too near for a `clearance`, on the way that the path did not
+        take: `piece` is the target before, as in `BodyGeometry.check_path`.
     late, interrupted
         Whether the time limit or Ctrl-C ended the work; `q` has the finished part.
     """
@@ -675,6 +693,7 @@ class IkPath(Configurations):
     """The tasks, with a goal for each of the targets."""
     interrupted: bool = False
     late: bool = False
+    encounters: tuple[Encounter, ...] = ()
 
     @property
     def code(self) -> Status:
@@ -730,6 +749,7 @@ def ik_path(
     branches: bool | str = False,
     cost: Any = "motion",
     closed: bool = False,
+    clearance: Any = None,
     tolerance: float | tuple[float, float] | None = None,
     budget: Budget | None = None,
 ) -> IkPath:
@@ -744,6 +764,7 @@ def ik_path(
         "branches": branches,
         "cost": read_cost(cost),
         "closed": closed,
+        "clearances": () if clearance is None else tuple(read_clearances(clearance)),
     }
     wanted = targets if frame is None else _make_pose_task(system, targets, frame)
     name = None if frame is None else system.structure.frame_name(frame)
@@ -787,19 +808,22 @@ def solve_path(problem: Problem) -> IkPath:
     for task, goals in zip(demands.tasks, demands.goals, strict=True):
         refuse_goal(goals, task.label)
     way = FollowedPath(demands, options["max_step"], time, spend.progress)
+    if options["clearances"]:
+        way.guard = PathGuard(system, watch_clearances(system, options["clearances"]))
     n = demands.lead[0]
     none = IkPath(system, np.full((n, system.nq), np.nan), np.zeros(n, dtype=bool), (), "", demands)
     begin = 0
     starts = list[Array]()
     try:
         with time:
-            q0, info, begin = way.find_first_configuration(first, restart)
-            if info[0, 0] != SOLVED:
-                why = make_checked_answer(way.rows[begin], q0, info).status
-                return replace(none, reason=f"the path does not begin: target {begin} is {why}")
-            starts = [q0[0]]
+            answer, begin = way.find_first_configuration(first, restart)
+            if not answer:
+                said = f"the path does not begin: target {begin} is {answer.status}"
+                return replace(none, reason=said)
+            starts = [answer.q]
             if options["branches"]:
-                starts = list_starts(problem, way, begin, q0[0])
+                starts = list_starts(problem, way, begin, answer.q)
+                starts = [x for x in starts if way.is_clear(x)]
     except BROKEN_OFF as error:
         interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
         if not starts or interrupted:
@@ -824,28 +848,66 @@ def _make_pose_task(system: Model, targets: Any, frame: FrameLike) -> Constraint
 
 
 class FollowedPath(PathSteps):
-    """The way of targets, and the path along it, with self-motions away from limits where `avoids`
-    is not 0.
+    """The way of targets, and the path along it.
+
+    It has self-motions away from limits where `avoids` is not 0, and away from other bodies where
+    `repels` is not 0. A `guard` keeps bodies apart.
     """
 
     avoids = 0.0
+    repels = 0.0
     home: Home | None = None
+    guard: PathGuard | None = None
 
     def copy_without_limits(self) -> FollowedPath:
         """Return the same way, with joints that have no limits."""
         free = replace(self.problem, limits=False)
-        return FollowedPath(free, self.max_step, self.budget, self.progress)
+        way = FollowedPath(free, self.max_step, self.budget, self.progress)
+        way.guard = self.guard
+        return way
 
-    def find_first_configuration(
-        self, first: Array, restart: bool
-    ) -> tuple[Array, np.ndarray, int]:
-        """Find the configurations of the first target, or with `restart` the first reached."""
+    def find_first_configuration(self, first: Array, restart: bool) -> tuple[Reached, int]:
+        """Find the answer for the first target, or with `restart` for the first reached."""
         begin = 0
-        q, info = self.rows[begin].run_search(first)
-        while restart and info[0, 0] != SOLVED and begin + 1 < len(self.rows):
+        answer = self.reach_target(begin, first)
+        while restart and not answer and begin + 1 < len(self.rows):
             begin += 1
-            q, info = self.rows[begin].run_search(first)
-        return q, info, begin
+            answer = self.reach_target(begin, first)
+        return answer, begin
+
+    def reach_target(self, i: int, first: Array) -> Reached:
+        """Find a configuration at target i, from a start (1, nq), that keeps clearances."""
+        row = self.rows[i]
+        answer = make_checked_answer(row, *row.run_search(first))
+        if self.guard is None or not answer or self.is_clear(answer.q):
+            return answer
+        return ClearSearch(row, self.guard.watch, None).finish(answer, [])
+
+    def is_clear(self, q: Array) -> bool:
+        """Whether bodies keep their distances at q (nq,)."""
+        return self.guard is None or self.guard.find_near_configuration(q[None]) is None
+
+    def find_encounter(self, i: int, q: Array) -> Encounter | None:
+        """Find where bodies come too near on the path q (n, nq) that begins at target i."""
+        found = None if self.guard is None else self.guard.find_encounter(q)
+        return None if found is None else found._replace(piece=i + found.piece)
+
+    def move_from_bodies(self, i: int, q: Array, strength: float) -> Array:
+        """Move near bodies apart by a small self-motion at target i; returns q (nq,).
+
+        It is the motion that lowers the sum of 1 / distance over near pairs the fastest, distances
+        less what is asked, as parts of what counts as near.
+        """
+        assert self.guard is not None
+        watch = self.guard.watch
+        near = NEAR * self.problem.packed.loops.length
+        gaps = watch.list_gaps(fk(self.system, q, watch.solids.names), near)
+        if not gaps:
+            return q
+        over = np.array([g.distance - watch.at_least[g.couple] for g in gaps]) / near
+        push = (1.0 / np.maximum(over, 1e-3) ** 2 - 1.0) / near
+        pull = push @ compute_gap_gradients(self.system, watch, q, gaps) * self.scale
+        return self.move_by_self_motion(i, q, pull, strength)
 
     def describe_end(self, i: int, q: Array, part: float) -> str:
         """Describe what ends the path at q: limits, a singularity, or neither."""
@@ -924,7 +986,8 @@ class FollowedPath(PathSteps):
             or not self.has_free_joints(begin, q)
         ):
             return path
-        for self.avoids in AVOIDING:
+        for strengths in self._list_strengths(begin):
+            self.avoids, self.repels = strengths
             other = self.follow_path(q, restart, begin)
             if count_followed_targets(other) > count_followed_targets(path):
                 path = other
@@ -934,16 +997,23 @@ class FollowedPath(PathSteps):
                 path = replace(path, interrupted=other.interrupted, late=other.late, reason=said)
             if path or path.interrupted or path.late:
                 break
-        self.avoids = 0.0
+        self.avoids = self.repels = 0.0
         return path
 
+    def _list_strengths(self, begin: int) -> list[tuple[float, float]]:
+        """List strengths of self-motions away from limits and from bodies that are tried."""
+        limited = self.rows[begin].limits
+        out = [(0.0, x) for x in REPELLING] if self.guard is not None else []
+        return out + [(x, 0.0) for x in AVOIDING if limited]
+
     def has_free_joints(self, i: int, q: Array) -> bool:
-        """Whether target i leaves freedoms of its joints, and there are limits."""
+        """Whether target i leaves freedoms of its joints, for what may be kept away from."""
         J = self.evaluate_residuals(self.rows[i], q)[1]
         if not J.size:
             return False
         used = int((np.abs(J) > 0.0).any(axis=0).sum())
-        return self.rows[i].limits and used > Spectrum(J).compute_rank(Level.ROUNDING)
+        kept = self.rows[i].limits or self.guard is not None
+        return kept and used > Spectrum(J).compute_rank(Level.ROUNDING)
 
     def follow_path(self, q: Array, restart: bool, begin: int = 0) -> IkPath:
         """Follow the path from q, which holds target `begin`."""
@@ -951,6 +1021,7 @@ class FollowedPath(PathSteps):
         out = np.full((n, self.system.nq), np.nan)
         jumps: list[int] = []
         said: list[str] = []
+        met: list[Encounter] = []
         out[begin] = q
         interrupted = False
         late = False
@@ -960,7 +1031,7 @@ class FollowedPath(PathSteps):
             )
         try:
             with self.budget:
-                self._follow_targets(out, jumps, said, restart, begin)
+                self._follow_targets(out, jumps, said, met, restart, begin)
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
             said.append(describe_early_end(interrupted, late).strip(" ()"))
@@ -973,7 +1044,15 @@ class FollowedPath(PathSteps):
         )
         status = "; ".join([status + jumped, *said])
         return IkPath(
-            self.system, out, success, tuple(jumps), status, self.problem, interrupted, late
+            self.system,
+            out,
+            success,
+            tuple(jumps),
+            status,
+            self.problem,
+            interrupted,
+            late,
+            tuple(met),
         )
 
     def keep_rolling_part(self, path: IkPath, begin: int) -> IkPath:
@@ -983,7 +1062,8 @@ class FollowedPath(PathSteps):
 
         try:
             with self.budget:
-                return remove_slip(self, path, begin)
+                rolling = remove_slip(self, path, begin)
+                met = self.find_encounter(0, rolling.q)
         except BROKEN_OFF as error:
             interrupted, late = (isinstance(error, kind) for kind in BROKEN_OFF)
             said = f"{path.reason}; it slips, {describe_early_end(interrupted, late).strip(' ()')}"
@@ -994,9 +1074,19 @@ class FollowedPath(PathSteps):
                 interrupted=interrupted,
                 late=late,
             )
+        if met is None:
+            return rolling
+        cut = _cut_path(rolling, met.piece + 1, _describe_encounter(met))
+        return replace(cut, encounters=(met,))
 
     def _follow_targets(
-        self, out: Array, jumps: list[int], said: list[str], restart: bool, begin: int
+        self,
+        out: Array,
+        jumps: list[int],
+        said: list[str],
+        encounters: list[Encounter],
+        restart: bool,
+        begin: int,
     ) -> None:
         """Write the path from its configuration at target `begin` on, and its messages."""
         q = out[begin]
@@ -1005,27 +1095,42 @@ class FollowedPath(PathSteps):
         before = np.zeros(nv + 1)  # the scaled step to target i - 1, and the length of its way
         i = begin
         while (i := i + 1) < len(out):
-            if not (broken or self.avoids or self.home is not None):
+            met = None
+            if not (broken or self.avoids or self.repels or self.home is not None):
+                first = i - 1
                 i = self.follow_plain_targets(out, i, before)
+                met = self.find_encounter(first, out[first:i])
+                if met is not None:
+                    i = met.piece + 1
+                    out[i:] = np.nan
+                    before[:] = 0.0
                 q = out[i - 1]
                 if i == len(out):
                     break
             step = before[:nv]
-            found, part, way = (
-                (q, 0.0, 0.0) if broken else self.follow_segment(i, q, step, float(before[nv]))
-            )
-            if part < 1.0:
+            found, part, way = q, 0.0, 0.0
+            if not broken and met is None:
+                found, part, way = self.follow_segment(i, q, step, float(before[nv]))
+            after = self._move_freely(i, found) if part == 1.0 else found
+            if self.guard is not None and part == 1.0:
+                met = self.find_encounter(i - 1, np.stack([q, after]))
+            if part < 1.0 or met is not None:
                 why = ""
-                if not broken:
+                if met is not None:
+                    found = q
+                    encounters += [met]
+                    why = _describe_encounter(met)
+                elif not broken:
                     why = (
                         f"{part:.1%} of the way from target {i - 1} to {i}, at "
                         f"{self.describe_end(i, found, part)}"
                     )
                     why += self.suggest_tolerance(i, q, step)
-                others = self.find_other_configurations(i, found)
+                others = [x for x in self.find_other_configurations(i, found) if self.is_clear(x)]
                 broken = not others
+                kept = "" if self.guard is None else ", at the distances asked,"
                 said += (
-                    [_describe_stop(self.system, i, why, found, others, restart)]
+                    [_describe_stop(self.system, i, why, found, others, restart, kept)]
                     if why or others
                     else []
                 )
@@ -1034,18 +1139,26 @@ class FollowedPath(PathSteps):
                     break
                 if broken:
                     continue
-                found = others[0]
-                q = others[0]
+                found = q = others[0]
+                after = found if self.guard is not None else self._move_freely(i, found)
             if way > STAYS:  # else the target stays, and one goes on as before it
                 moved = self.system.structure.layout.compute_difference(q, found) / self.scale
                 before[:nv] = moved if not step.any() else moved + self.calm * (step - moved)
                 before[nv] = way
-            q = self.move_from_limits(i, found, self.avoids) if self.avoids else found
-            if self.home is not None:
-                q = self.move_home(i, q, self.home)
+            q = after
             out[i] = q
             if self.progress is not None:
                 self.progress(i + 1)
+
+    def _move_freely(self, i: int, q: Array) -> Array:
+        """Move by the self-motions at target i that are asked for; returns q (nq,)."""
+        if self.avoids:
+            q = self.move_from_limits(i, q, self.avoids)
+        if self.repels:
+            q = self.move_from_bodies(i, q, self.repels)
+        if self.home is not None:
+            q = self.move_home(i, q, self.home)
+        return q
 
     def check_configurations(self, q: Array) -> np.ndarray:
         """Check configurations (n, nq) by the forward model; those that fail become NaN."""
@@ -1056,14 +1169,20 @@ class FollowedPath(PathSteps):
         return good
 
 
+def _describe_encounter(met: Encounter) -> str:
+    """Describe where on the way between two targets bodies come too near."""
+    way = f"{met.part:.1%} of the way from target {met.piece} to {met.piece + 1}"
+    return f"{way}, where {met.describe_bodies()}"
+
+
 def _describe_stop(
-    system: Model, i: int, why: str, q: Array, others: list[Array], restart: bool
+    system: Model, i: int, why: str, q: Array, others: list[Array], restart: bool, kept: str
 ) -> str:
     where = (
         f"{'jumps' if restart and others else 'stops'} {why}" if why else f"goes on at target {i}"
     )
     if not others:
-        return f"{where}; target {i} was not reached from {TRIED} other starts either"
+        return f"{where}; target {i} was not reached{kept} from {TRIED} other starts either"
     change = np.abs(system.structure.layout.compute_difference(q, others[0]))
     far = int(np.argmax(change))
     name = system.structure.velocity_names[far]

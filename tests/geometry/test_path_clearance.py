@@ -1,0 +1,153 @@
+"""Paths between configurations that are called clear: beside dense samples, and in closed form."""
+
+from __future__ import annotations
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe import Status
+from kempe.constraints import Clearance
+from kempe.errors import InputError, UnknownNameError
+
+pytest.importorskip("coal")
+
+KEEP = Clearance("self", at_least=0.02)
+SHAPES = (
+    {"kind": "sphere", "radius": 0.15},
+    {"kind": "box", "size": (0.2, 0.3, 0.1)},
+    {"kind": "capsule", "radius": 0.05, "length": 0.4},
+    {"kind": "cylinder", "radius": 0.1, "length": 0.3},
+)
+
+
+def two_free_bodies(rng: np.random.Generator) -> kempe.System:
+    """Two bodies with quaternions."""
+    m = kempe.Mechanism("two")
+    for name in "ab":
+        m.free(name.upper(), m.ground, m.body(name))
+        m.shape(name, **SHAPES[rng.integers(4)], at=rng.uniform(-0.3, 0.3, 3))
+    return m.build()
+
+
+def tree(rng: np.random.Generator) -> kempe.System:
+    """A slide with two arms: a ball with an elbow that a screw follows, and a turn; and a post."""
+    m = kempe.Mechanism("tree")
+    place = lambda: rng.uniform(-0.4, 0.4, 3)  # noqa: E731
+    for name in ("slide", "upper", "lower", "screw", "side"):
+        m.body(name)
+        m.shape(name, **SHAPES[rng.integers(4)], at=place())
+    m.prismatic("P", m.ground, "slide", axis=rng.normal(size=3))
+    m.spherical("S", "slide", "upper", at=place())
+    m.revolute("E", "upper", "lower", at=place(), axis=rng.normal(size=3))
+    m.helical("H", "lower", "screw", 0.7, at=place(), axis="x")
+    m.revolute("T", "slide", "side", at=place(), axis="y")
+    m.couple("T", {"E": -1.5})
+    m.obstacle("post", "box", size=(0.2, 0.2, 2.0), at=(1.0, 0, 0))
+    return m.build()
+
+
+@pytest.mark.parametrize("make", [two_free_bodies, tree])
+def test_hunt_what_is_called_clear_is_clear_in_dense_samples(make, hunt):
+    rng = hunt.rng()
+    outcomes = []
+    for _ in range(hunt.cases(40)):
+        s = make(rng)
+        layout = s.structure.layout
+        q = s.random(rng, 2)
+        q[0, layout.vector_q] = rng.uniform(-0.5, 0.5, len(layout.vector_q))
+        q[1] = layout.integrate_velocity(q[0], rng.uniform(-0.5, 0.5, s.nv))
+        answer = s.geometry.check_path(q, KEEP)
+        v = layout.compute_difference(q[0], q[1])
+        dense = layout.integrate_velocity(q[0], np.linspace(0, 1, 400)[:, None] * v)
+        nearest = s.geometry.clearance(dense)
+        outcomes.append(bool(answer))
+        if answer:
+            assert answer.proven and nearest.min() >= 0.02 - 2e-6
+            continue
+        met = answer.encounter
+        assert met.decided and answer.code is Status.TOO_NEAR and answer.proven
+        there = layout.integrate_velocity(q[0], met.part * v)
+        assert math.isclose(s.geometry.clearance(there, [met.pair]), met.distance, abs_tol=2e-6)
+        assert met.distance < 0.02
+    assert 0.1 < np.mean(outcomes) < 0.95
+
+
+def swing(**post: object) -> kempe.System:
+    """A sphere on an arm of 1 m that turns about z past a post."""
+    m = kempe.Mechanism("swing")
+    m.revolute("A", m.ground, m.body("link"), axis="z")
+    m.shape("link", "sphere", radius=0.1, at=(1, 0, 0))
+    m.obstacle("post", **post)
+    return m.build()
+
+
+def test_a_thin_post_between_two_configurations_is_met():
+    s = swing(kind="cylinder", radius=0.001, length=1.0, at=(0, 1, 0))
+    q = np.linspace(0, math.pi, 4)[:, None]
+    assert s.geometry.clearance(q).min() > 0.02
+    answer = s.geometry.check_path(q, KEEP)
+    assert not answer
+    assert answer.encounter.piece == 1 and answer.encounter.pair == ("link", "post")
+    assert "too near 0.5 of the way from configuration 1 to 2" in answer.status
+    assert "'link' and 'post' overlap by" in str(answer)
+    assert answer.data()["encounter"]["pair"] == ["link", "post"]
+    assert pickle.loads(pickle.dumps(answer)).status == answer.status
+
+
+@pytest.mark.parametrize("over", [-1e-3, 3e-4, 1e-3])
+def test_a_passage_is_decided_to_a_third_of_a_millimetre(over):
+    """The sphere passes a post outside of its circle; the gap is known in closed form."""
+    s = swing(kind="sphere", radius=0.1, at=(0, 1.22 + over, 0))
+    answer = s.geometry.check_path([[0.2], [1.5], [3.0]], KEEP)
+    assert bool(answer) == (over > 0)
+
+
+def test_a_way_along_the_distance_is_not_decided():
+    m = kempe.Mechanism("slider")
+    m.prismatic("x", m.ground, m.body("block"), axis="x")
+    m.shape("block", "sphere", radius=0.1, at=(0, 0, 0.22))
+    m.obstacle("floor", "box", size=(10, 10, 0.2))
+    s = m.build()
+    almost = Clearance(at_least=0.02 - 2e-7)
+    answer = s.geometry.check_path([[0.0], [1.0]], almost)
+    assert not answer and not answer.proven and answer.code is Status.NOT_FOUND
+    assert "not decided" in answer.status and "is not excluded" in answer.status
+    assert s.geometry.check_path([[0.0], [1.0]], Clearance(at_least=0.0195))
+
+
+def test_configurations_that_are_missing_or_alone():
+    s = swing(kind="sphere", radius=0.1, at=(0, 1, 0))
+    assert s.geometry.check_path(np.zeros((0, 1)), KEEP)
+    assert s.geometry.check_path([[0.0]], KEEP)
+    alone = s.geometry.check_path([[math.pi / 2]], KEEP)
+    assert not alone and "at configuration 0" in alone.status
+    assert s.geometry.check_path([[0.0], [np.nan], [3.0]], KEEP)
+    last = s.geometry.check_path([[0.0], [math.pi / 2 - 0.21]], KEEP)
+    assert last.encounter.piece + last.encounter.part > 0.9
+    long = s.geometry.check_path(np.linspace(0.0, 1.57, 300)[:, None], KEEP)
+    angle = 2.0 * math.asin(0.22 / 2)  # at which the centres are 0.22 m apart
+    at = (long.encounter.piece + long.encounter.part) * 1.57 / 299
+    assert math.isclose(at, math.pi / 2 - angle, abs_tol=1.57 / 299)
+
+
+def test_closed_loops_are_not_proven():
+    m = kempe.load("four_bar").mechanism
+    m.shape("coupler", "sphere", radius=0.01)
+    m.obstacle("ball", "sphere", radius=0.01, at=(5, 0, 0))
+    s = m.build()
+    answer = s.geometry.check_path(s.trace("A"), KEEP)
+    assert answer and not answer.proven and "loops were not closed" in answer.status
+
+
+def test_bad_input():
+    s = swing(kind="sphere", radius=0.1, at=(0, 1, 0))
+    with pytest.raises(InputError, match="must be a kempe.constraints.Clearance"):
+        s.geometry.check_path([[0.0], [1.0]], 0.02)
+    with pytest.raises(InputError, match=r"must be \(n, 1\)"):
+        s.geometry.check_path([0.0], KEEP)
+    with pytest.raises(UnknownNameError, match="link"):
+        s.geometry.check_path([[0.0]], Clearance("lnk"))
