@@ -311,6 +311,11 @@ CASES = {
     "independent": Case("independent", lambda: LINKAGE.independent(CLOSED), "SOLVED"),
     "idealise": Case("idealise", lambda: rounded().idealise(), "SOLVED"),
     "nearest": Case("nearest", lambda: SHAPES.geometry.nearest([0.0]), "SOLVED"),
+    "check_path": Case(
+        "check_path",
+        lambda: SHAPES.geometry.check_path([[0.0]], kempe.constraints.Clearance()),
+        "SOLVED",
+    ),
     "mobility": Case("mobility", lambda: LINKAGE.mobility(), "SOLVED"),
     "mobility failing": Case("mobility", lambda: apart().mobility(), "NOT_FOUND"),
     "mobility of a ball": Case("mobility", lambda: BALL.mobility(), "SOLVED"),
@@ -376,6 +381,7 @@ CASES = {
 }
 
 REPORTING = {
+    "check_path",
     "nearest",
     "workspace",
     "mobility",

@@ -902,6 +902,7 @@ class ReachStudies(Namespace):
         frame: FrameLike,
         *,
         task: str | tuple[str, ArrayLike] | None = None,
+        clearance: Constraint | Sequence[Constraint] | None = None,
         budget: Budget | None = None,
     ) -> ReachStudy:
         """Study which poses of a list a frame reaches, how well, and what blocks the others.
@@ -914,6 +915,8 @@ class ReachStudies(Namespace):
             Name of the body or frame.
         task
             Part of the targets that counts, as in `System.ik`.
+        clearance
+            `Clearance`, or a list of them, that solutions must keep.
         budget
             Reads starts (1000), rng (0), threads, time_limit (600 s) and progress(poses tried,
             all).
@@ -936,7 +939,9 @@ class ReachStudies(Namespace):
         """
         from kempe.workspace.reach import reach_poses
 
-        return reach_poses(self.system, targets, frame, task=task, budget=budget)
+        return reach_poses(
+            self.system, targets, frame, task=task, clearance=clearance, budget=budget
+        )
 
     @explain_errors
     def place(
@@ -990,6 +995,7 @@ class ReachStudies(Namespace):
         directions: int | ArrayLike = 32,
         rolls: int | None = None,
         *,
+        clearance: Constraint | Sequence[Constraint] | None = None,
         budget: Budget | None = None,
     ) -> CapabilityMap:
         """Compute for each cell of a box in how many directions a frame reaches it, and how well.
@@ -1007,6 +1013,9 @@ class ReachStudies(Namespace):
         rolls
             Number of angles about each direction. Each is tried as a pose, and solutions are
             counted for chains with finitely many.
+        clearance
+            `Clearance`, or a list of them: directions count that are reached by solutions which
+            keep it, so that the map has the free part of the workspace.
         budget
             Reads starts (32), rng (0), threads, time_limit (600 s) and progress.
 
@@ -1026,7 +1035,9 @@ class ReachStudies(Namespace):
         """
         from kempe.workspace.capability import capability_map
 
-        return capability_map(self.system, frame, box, cells, directions, rolls, budget=budget)
+        return capability_map(
+            self.system, frame, box, cells, directions, rolls, clearance=clearance, budget=budget
+        )
 
     @explain_errors
     def planar(

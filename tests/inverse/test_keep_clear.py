@@ -285,6 +285,7 @@ def test_ik_all_leaves_out_what_comes_too_near():
     np.testing.assert_array_equal(kept.success, (clear & every.mask & every.inside).any(axis=1))
     k = int(np.flatnonzero((every.mask & ~clear).sum(axis=1) == 2)[0])
     one = s.ik_all(X[k], "tip", clearance=[keep])
+    assert one.code is kempe.Status.TOO_NEAR
     assert not one.success and len(one.q) == 0 and "2 are left out that come too near" in one.status
     with pytest.raises(InputError, match="must be a kempe.constraints.Clearance"):
         s.ik_all(X[0], "tip", clearance=0.02)
@@ -461,3 +462,28 @@ def test_a_path_whose_first_target_is_not_clear_does_not_begin():
     assert "'link 2' and 'disc 0' overlap by" in path.status
     with pytest.raises(InputError, match="must be a kempe.constraints.Clearance"):
         s.ik_path([center], "tip", clearance=AT_LEAST)
+
+
+# ---- the free part of the workspace
+
+
+def test_a_capability_map_counts_what_is_reached_clear_of_bodies():
+    s = planar_arm(np.random.default_rng(3))
+    keep = Clearance("self", at_least=AT_LEAST)
+    box = [[-1.2, -1.2], [1.2, 1.2]]
+    found = s.reach.capability("tip", box, 6, 5, clearance=keep)
+    every = s.reach.capability("tip", box, 6, 5)
+    expected = np.zeros_like(found.reached)
+    for i, j, k in np.ndindex(6, 6, 5):
+        x, y = found.directions[k, :2]
+        target = (found.axes[0][i], found.axes[1][j], np.arctan2(y, x))
+        answer = s.ik_all(target, "tip", task="pose", limits=True)
+        expected[i, j, k, 0] = (distance(s, answer.q) >= AT_LEAST).any()
+    np.testing.assert_array_equal(found.reached, expected)
+    assert 0 < found.reached.sum() < every.reached.sum()
+    targets = s.fk(s.random(np.random.default_rng(0), 12), "tip")
+    study = s.reach.poses(targets, "tip", clearance=keep)
+    clear = s.geometry.clearance(study.q[study.reached]) >= AT_LEAST
+    assert 0 < study.reached.sum() < 12 and clear.all()
+    blocked = int(np.flatnonzero(~study.reached)[0])
+    assert "apart" in study.reason(blocked)

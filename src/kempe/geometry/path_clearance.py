@@ -174,7 +174,7 @@ class PathGuard:
         to them.
         """
         layout = self.system.structure.layout
-        good = np.isfinite(q).all(axis=1)
+        good = np.asarray(np.isfinite(q).all(axis=1))
         for first in range(0, max(len(q) - 1, 1), PIECES):
             check_for_stop()
             last = min(first + PIECES, len(q) - 1)

@@ -48,13 +48,15 @@ def compute_status_codes(solutions: Solutions) -> np.ndarray:
     That there is no solution is proven where the answer is complete.
 
     Solutions that were left out, of a whole answer, are outside of limits or of one-sided
-    constraints. What is known of curves of solutions is no proof.
+    constraints, or come too near for a clearance. What is known of curves of solutions is no proof.
     """
     whole = solutions if solutions._whole is None else solutions._whole
     used = whole._used_rows
     multiplicity = whole._code // int(A.MULTIPLICITY_UNIT)
     curves = (used & (multiplicity == 0)).any(axis=1)
     none = np.where(used.any(axis=1), Status.OUTSIDE_LIMITS, Status.NONE_EXISTS)
+    if solutions._near is not None:
+        none = np.where(solutions._near, Status.TOO_NEAR, none)
     # of the whole, and of what is left
     complete = np.ravel(whole.complete) & np.ravel(solutions.complete)
     none = np.where(complete & ~curves, none, Status.NOT_FOUND)
@@ -249,6 +251,9 @@ class Solutions(ConfigurationList, Answer):
         )
         self._left_out: np.ndarray | None = (
             None  # and what is said besides (N,) of those that were left out
+        )
+        self._near: np.ndarray | None = (
+            None  # and whether solutions inside the limits (N,) come too near for a clearance
         )
 
     @cached_property
@@ -649,6 +654,7 @@ class Solutions(ConfigurationList, Answer):
         )
         out._whole = whole
         out._left_out = left_out
+        out._near = self._near
         return out
 
     row = "answers of ik_all"

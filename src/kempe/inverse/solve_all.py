@@ -131,7 +131,9 @@ def select_clear_solutions(solutions: Solutions, clearances: Sequence[Apart]) ->
     rows[bad, -A.INFO + A.CODE] = A.UNUSED
     rows = pack_rows(rows) if solutions.single else rows
     whole = solutions if solutions._whole is None else solutions._whole
-    return solutions._replace_rows(rows, whole, texts)
+    out = solutions._replace_rows(rows, whole, texts)
+    out._near = (bad & (solutions._code % 2 == 1)).any(axis=1)
+    return out
 
 
 def _list_wound_coordinates(solutions: Solutions) -> list[str]:

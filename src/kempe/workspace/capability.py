@@ -6,6 +6,7 @@ capabilities", IROS 2007.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ from kempe.arguments import explain_errors, explain_method_errors, numbers, rais
 from kempe.arrays import is_sequence, is_whole
 from kempe.budget import Budget, Usual
 from kempe.errors import InputError, TimeLimitError
+from kempe.geometry.path_clearance import read_clearances
 from kempe.late import import_late_member
 from kempe.numerics.clock import LONG
 from kempe.numerics.directions import spread_directions
@@ -30,6 +32,7 @@ from kempe.workspace.reach import MOST, UNKNOWN, Study, refuse_many_poses, study
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from kempe.constraints.base import Constraint
     from kempe.model.model import FrameLike, Model
 
 USUAL = Usual("reach.capability", starts=32, rng=0, threads=None, progress=None, time_limit=LONG)
@@ -139,6 +142,7 @@ def capability_map(
     directions: int | ArrayLike = 32,
     rolls: int | None = None,
     *,
+    clearance: Constraint | Sequence[Constraint] | None = None,
     budget: Budget | None = None,
 ) -> CapabilityMap:
     """Map in how many directions a frame reaches each cell of a box, and how well.
@@ -146,7 +150,8 @@ def capability_map(
     `box` is the pair of its corners (2, 3), in the plane (2, 2), in metres, cut into so many
     `cells` along each axis. `directions` are that many, spread evenly, or vectors (d, 3), in the
     plane (d, 2). With `rolls` each is tried at that many angles about it, as a pose, and solutions
-    are counted where the chain has finitely many. Of the `budget` are read: starts (32), rng (0),
+    are counted where the chain has finitely many. With a `clearance` only those count that keep it.
+    Of the `budget` are read: starts (32), rng (0),
     threads, progress, time_limit (600 s); after that the map has what was done, after Ctrl-C the
     `answer` of the `Interrupted`. Errors: `InputError`, `UnknownNameError`.
     """
@@ -173,9 +178,10 @@ def capability_map(
         X[..., :dim, 3] = centres[first:last, None]
         return X
 
+    clearances = () if clearance is None else tuple(read_clearances(clearance))
     names = ("reached", "solutions", "manipulability", "margin")
     (share, solutions, w, far), broken = study_places(
-        system, name, task, make_targets, (len(centres), len(R)), names, spend
+        system, name, task, make_targets, (len(centres), len(R)), names, spend, clearances
     )
     hit = share == 1.0
     mean = np.where((solutions == UNKNOWN).any(axis=1), np.nan, solutions.mean(axis=1))

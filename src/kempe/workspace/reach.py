@@ -13,12 +13,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe.answers.tables import Tabular
-from kempe.answers.targets import choose_axis, choose_task, list_twist_rows, split_task
+from kempe.answers.targets import (
+    choose_axis,
+    choose_task,
+    list_twist_rows,
+    make_target_constraints,
+    parse_task_targets,
+    split_task,
+)
 from kempe.arguments import explain_errors, explain_method_errors, numbers, raise_interrupted
 from kempe.arrays import check_range
 from kempe.budget import Budget, TimeUp, Usual
+from kempe.constraints.clearances import Apart
 from kempe.errors import InputError
 from kempe.forward.fk import jacobian
+from kempe.geometry.path_clearance import read_clearances
 from kempe.inverse.closed_forms.plan import find_plan_or_reason
 from kempe.inverse.ik import ik
 from kempe.inverse.ik_all import ik_all
@@ -36,6 +45,7 @@ from kempe.words import format_count
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from kempe.constraints.base import Constraint
     from kempe.model.model import FrameLike, Model
 
 
@@ -121,19 +131,53 @@ def compute_margin(system: Model, q: Array) -> Array:
     return (np.minimum(x - low, high - x) / (0.5 * (high - low))).min(axis=-1)
 
 
+def reach_targets(
+    system: Model,
+    targets: Array,
+    frame: str,
+    task: Any,
+    clearances: Sequence[Apart],
+    budget: Budget,
+) -> Any:
+    """Return the answer of `ik` for targets (...), which keeps clearances."""
+    if not clearances:
+        return ik(system, targets, frame, task=task, budget=budget)
+    said, axis = split_task(task)
+    direction = choose_axis(axis, said)
+    X, lead, is_position = parse_task_targets(system, targets, said, direction)
+    name = choose_task(said, is_position, bool(system.structure.table.at[frame][2]))
+    wanted = make_target_constraints(frame, name, direction, X.reshape(*lead, 4, 4))
+    return ik(system, [*wanted, *clearances], budget=budget)
+
+
 def study_targets(
-    system: Model, targets: Array, frame: str, task: Any, budget: Budget
+    system: Model,
+    targets: Array,
+    frame: str,
+    task: Any,
+    clearances: Sequence[Apart],
+    budget: Budget,
 ) -> ReachedPoses:
     """Study which `targets` (n, ...) are reached, and how well."""
-    single = ik(system, targets, frame, task=task, budget=budget)
     said, axis = split_task(task)
     particle = bool(system.structure.table.at[frame][2])
     name = choose_task(said, targets.shape[-2:] not in ((4, 4), (3, 3)), particle)
-    q = single.q[:, None]
-    mask = np.array(single.success)[:, None]
-    solutions = np.where(mask[:, 0], UNKNOWN, np.where(np.isin(single.code, PROVEN), 0, UNKNOWN))
+    every: Any = None
     if not isinstance(find_plan_or_reason(system, frame, name, choose_axis(axis, said)), str):
-        every: Any = ik_all(system, targets, frame, task=task, limits=True)
+        every = ik_all(system, targets, frame, task=task, limits=True, clearance=clearances or None)
+    # searches among bodies are long: they are for what the closed form does not decide
+    decided = every.complete | every.success if clearances and every is not None else False
+    left = np.flatnonzero(~np.broadcast_to(decided, len(targets)))
+    first = np.full((len(targets), system.nq), np.nan)
+    reached = np.zeros(len(targets), dtype=bool)
+    code = np.full(len(targets), int(Status.NOT_FOUND)) if every is None else np.array(every.code)
+    if len(left) or not len(targets):
+        single = reach_targets(system, targets[left], frame, task, clearances, budget)
+        first[left], reached[left], code[left] = single.q, single.success, single.code
+    q = first[:, None]
+    mask = reached[:, None]
+    solutions = np.where(reached, UNKNOWN, np.where(np.isin(code, PROVEN), 0, UNKNOWN))
+    if every is not None:
         solutions = np.where(every.complete, every.mask.sum(axis=-1), UNKNOWN)
         q = np.concatenate([q, every.q], axis=1)
         mask = np.concatenate([mask, every.mask], axis=1)
@@ -153,7 +197,7 @@ def study_targets(
         np.where(any_, np.max(np.where(mask, w, -1.0), axis=1), np.nan),
         far[at, best],
         q[at, best],
-        np.where(any_, int(Status.SOLVED), single.code),
+        np.where(any_, int(Status.SOLVED), code),
     )
 
 
@@ -171,6 +215,7 @@ def study_places(
     shape: tuple[int, int],
     names: Sequence[str],
     spend: Budget,
+    clearances: Sequence[Apart] = (),
 ) -> tuple[list[Array], Status | None]:
     """Study targets at many places: return fields of `ReachedPoses` as arrays (places, targets,
     ...). Also return what broke the work off, or None.
@@ -192,7 +237,9 @@ def study_places(
                 clock.check_time()
                 X = targets(first, min(first + at_once, count))
                 last = first + len(X)
-                answer = study_targets(system, X.reshape(-1, *X.shape[2:]), frame, task, each)
+                answer = study_targets(
+                    system, X.reshape(-1, *X.shape[2:]), frame, task, clearances, each
+                )
                 for array, name in zip(out, names, strict=True):
                     array[first:last] = getattr(answer, name).reshape(array[first:last].shape)
                 if spend.progress is not None:
@@ -269,6 +316,7 @@ class ReachStudy(Study, Tabular):
     task: Any
     budget: Budget
     broken: Status | None = None
+    clearances: tuple[Apart, ...] = ()
 
     @property
     def code(self) -> Status:  # type: ignore[override]
@@ -306,11 +354,15 @@ class ReachStudy(Study, Tabular):
             raise InputError(
                 f"index is {index}; there are {format_count(len(self.reached), 'pose')}, from 0"
             )
-        return str(
-            ik(
-                self.system, self.targets[index], self.frame, task=self.task, budget=self.budget
-            ).status
+        answer = reach_targets(
+            self.system,
+            self.targets[index],
+            self.frame,
+            self.task,
+            self.clearances,
+            self.budget,
         )
+        return str(answer.status)
 
     @property
     def reasons(self) -> dict[int, str]:
@@ -353,15 +405,16 @@ def reach_poses(
     frame: FrameLike,
     *,
     task: str | tuple[str, ArrayLike] | None = None,
+    clearance: Constraint | Sequence[Constraint] | None = None,
     budget: Budget | None = None,
 ) -> ReachStudy:
     """Study which poses of a list a frame reaches, how well, and what blocks the others.
 
     `targets` (n, 4, 4) are poses, or (n, 3) positions, in the ground frame, with `task` as
     `System.ik` takes them. A pose counts as reached where `ik` or, of chains with finitely many
-    solutions, `ik_all` finds one inside the limits. Of the `budget` are read: starts (1000), rng
-    (0), threads, time_limit (600 s), and progress(poses tried, all). After the time limit the study
-    has what was done, after Ctrl-C the `answer` of the `Interrupted`.
+    solutions, `ik_all` finds one inside the limits that keeps a `clearance`. Of the `budget` are
+    read: starts (1000), rng (0), threads, time_limit (600 s), and progress(poses tried, all). After
+    the time limit the study has what was done, after Ctrl-C the `answer` of the `Interrupted`.
 
     Errors: `InputError`, `UnknownNameError`.
     """
@@ -377,9 +430,17 @@ def reach_poses(
         )
     X = check_targets(X)
 
+    clearances = () if clearance is None else tuple(read_clearances(clearance))
     names = ("reached", "solutions", "manipulability", "margin", "q", "code")
     fields, broken = study_places(
-        system, name, task, lambda first, last: X[first:last, None], (len(X), 1), names, spend
+        system,
+        name,
+        task,
+        lambda first, last: X[first:last, None],
+        (len(X), 1),
+        names,
+        spend,
+        clearances,
     )
     hit, solutions, w, far, q, codes = (array[:, 0] for array in fields)
     left = np.isnan(codes)
@@ -400,4 +461,5 @@ def reach_poses(
         task,
         each,
         broken,
+        clearances,
     )
