@@ -78,8 +78,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """What exists now stays until the end."""
+    """What exists now stays until the end. The collector looks for garbage seldom: at its usual
+    pace, that of a program of a few megabytes, it takes a tenth of the time.
+    """
     gc.freeze()
+    gc.set_threshold(100_000, 20, 10)
     gc.enable()
 
 

@@ -94,13 +94,19 @@ def imports(node: ast.AST, typing: bool = False) -> Iterator[tuple[str, int, boo
         yield from imports(child, typing)
 
 
+@cache
+def imports_of(path: Path) -> list[tuple[str, int, bool]]:
+    """What a source imports, found once for all tests."""
+    return list(imports(sources.tree(path)))
+
+
 @pytest.mark.parametrize("layer", [line.split(":")[0] for line in LAYERS.split("\n") if line])
 def test_imports_lead_downwards(layer):
     """Those in functions, and those of types, included."""
     upwards = [
         f"{module}:{line} imports {to}"
         for module in (m for m in FILES if m.split(".")[0] in layer.split())
-        for to, line, _ in imports(sources.tree(FILES[module]))
+        for to, line, _ in imports_of(FILES[module])
         if place(to) > place(module) and (module, to) not in TYPED
     ]
     assert not upwards, "\n".join(upwards)
@@ -109,8 +115,7 @@ def test_imports_lead_downwards(layer):
 def test_no_modules_import_one_another():
     """Imports in functions are included, those of types are not."""
     left = {
-        m: {to for to, _, typing in imports(sources.tree(p)) if not typing} - {m}
-        for m, p in FILES.items()
+        m: {to for to, _, typing in imports_of(p) if not typing} - {m} for m, p in FILES.items()
     }
     while free := {m for m, to in left.items() if not to & left.keys()}:
         left = {m: to for m, to in left.items() if m not in free}
@@ -131,7 +136,7 @@ def test_rows_of_late_are_few_found_and_used():
 def test_the_library_is_data_and_kernels_know_arrays():
     """No other module imports what needs a compiler: only `compiled` and modules of constants."""
     for module, path in FILES.items():
-        found = {to for to, _, _ in imports(sources.tree(path))}
+        found = {to for to, _, _ in imports_of(path)}
         layer = module.split(".")[0]
         outside = {to for to in found if to.split(".")[0] not in ("kernels", "errors")}
         assert not outside or layer != "kernels", f"{module}: {outside}"
@@ -181,9 +186,9 @@ def test_methods_of_system_only_delegate(module):
 
 def verbs() -> set[str]:
     """Modules of solvers, and of what methods of `System` call, from the layer of `assemble` on."""
-    found = {to for to, _, _ in imports(sources.tree(FILES["solvers"]))}
+    found = {to for to, _, _ in imports_of(FILES["solvers"])}
     for module in ("system", "namespaces"):
-        found |= {to for to, _, typing in imports(sources.tree(FILES[module])) if not typing}
+        found |= {to for to, _, typing in imports_of(FILES[module]) if not typing}
     return {m for m in found if place("assemble") <= place(m) < place("views")}
 
 
@@ -197,7 +202,7 @@ ON_REQUEST = {
 @pytest.mark.parametrize("module", [m for m in FILES if m.endswith(("answer", "all_answer"))])
 def test_answers_import_no_solver(module):
     """What explains an answer is a row of `late`."""
-    found = {to for to, _, typing in imports(sources.tree(FILES[module])) if not typing}
+    found = {to for to, _, typing in imports_of(FILES[module]) if not typing}
     assert found & verbs() == ON_REQUEST.get(module, set())
 
 

@@ -87,7 +87,18 @@ def variants(case: Case) -> list[bytes]:
     ]
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: f"{case.suffix[1:]}: {case.title}")
+ROWS = [
+    pytest.param(
+        case,
+        id=f"{case.suffix[1:]}: {case.title}",
+        marks=[pytest.mark.rest] if len(case.text) > 100_000 else [],
+    )
+    for case in CASES
+]
+"""Each file; long ones are left to the long battery."""
+
+
+@pytest.mark.parametrize("case", ROWS)
 def test_what_is_said(case: Case, tmp_path: Path):
     for data in variants(case):
         said, error = answer(case, tmp_path, data)

@@ -62,16 +62,22 @@ def helpers() -> set[str]:
     functions = [
         n for path in FILES for n in ast.walk(sources.tree(path)) if isinstance(n, ast.FunctionDef)
     ]
-    found = {f.name for f in functions if any(map(is_assertion, ast.walk(f)))}
-    calls = {f: called(f) for f in functions}
+    found = {f.name for f in functions if asserts_itself(f)}
+    calls = {f: called(f) for f in functions if f.name not in found}
     while more := {f.name for f, names in calls.items() if f.name not in found and names & found}:
         found |= more
     return found
 
 
+@cache
+def asserts_itself(node: ast.AST) -> bool:
+    """Whether something is asserted in it, and not only in what it calls."""
+    return any(map(is_assertion, ast.walk(node)))
+
+
 def asserts(node: ast.AST) -> bool:
     """Whether something is asserted in it."""
-    return any(map(is_assertion, ast.walk(node))) or bool(called(node) & helpers())
+    return asserts_itself(node) or bool(called(node) & helpers())
 
 
 @every_file
