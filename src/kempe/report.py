@@ -17,6 +17,7 @@ from kempe.arguments import explain_method_errors
 from kempe.arrays import is_array, is_whole, unwrap_scalar
 from kempe.errors import InputError, KempeError, MissingPackageError, format_value
 from kempe.status import Status, name_outcomes
+from kempe.units import METRE, name_lengths
 from kempe.words import (
     Quantities,
     Quantity,
@@ -329,10 +330,19 @@ class Result:
         """List the last lines of the text: reasons, and facts that no table has."""
         return ()
 
+    @property
+    def _unit(self) -> str:
+        """Unit of the lengths in the text."""
+        return getattr(getattr(self, "system", None), "unit", METRE)
+
     def __bool__(self) -> bool:
         return bool(np.all(self.success))
 
     def __str__(self) -> str:
+        return name_lengths(self._compose_text(), self._unit)
+
+    def _compose_text(self) -> str:
+        """Compose the printed text."""
         lines = [
             line for table in self._make_tables() if table.printed for line in table.list_lines()
         ]
@@ -361,12 +371,16 @@ class Result:
             parts += ["", *notes]
         else:
             parts += [f"  {x}" for x in notes]
-        return "\n".join(parts)
+        return name_lengths("\n".join(parts), self._unit)
 
     def _repr_html_(self) -> str:
+        return name_lengths(self._compose_html(), self._unit) + self._render_image()
+
+    def _compose_html(self) -> str:
+        """Compose the text as HTML."""
         tables = "".join(table.to_html() for table in self._make_tables())
         head = format_html_paragraphs([self._make_headline()])
-        return head + tables + format_html_paragraphs(self._list_notes()) + self._render_image()
+        return head + tables + format_html_paragraphs(self._list_notes())
 
     def _render_image(self) -> str:
         """Render the picture of `plot` as HTML if `_pictured`; '' if nothing can be drawn."""
@@ -394,6 +408,16 @@ class Report(Result):
     code: Any = Status.SOLVED
     success = by_code
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Let the sentence of each report name lengths by the unit of its system."""
+        super().__init_subclass__(**options)
+        own = cls.__dict__.get("status")
+        compose = own.fget if isinstance(own, property) else getattr(own, "func", None)
+        if compose is not None:
+            cls.status = property(
+                lambda self: name_lengths(compose(self), self._unit), doc=own.__doc__
+            )
+
     @property
     def status(self) -> Any:
         """Result in one sentence; an array of sentences for a batch."""
@@ -408,9 +432,9 @@ class Report(Result):
         """List the reasons as pairs of a title and its lines."""
         return ()
 
-    def __str__(self) -> str:
+    def _compose_text(self) -> str:
         topics = self.topics()
-        return format_topics(self._make_headline(), topics) if topics else super().__str__()
+        return format_topics(self._make_headline(), topics) if topics else super()._compose_text()
 
     def text(self, degrees: bool = False, width: int = 0) -> str:
         """Return the text with tables in columns; with `degrees`, angles are in degrees.
@@ -423,14 +447,21 @@ class Report(Result):
             return super().text(degrees, width)
         width = _check_line_width(width)
         text = format_topics(_wrap_line(self._make_headline(), width), topics, width=width)
-        return convert_sentence_angles(text, degrees)
+        return name_lengths(convert_sentence_angles(text, degrees), self._unit)
 
     def _repr_html_(self) -> str:
+        return (
+            name_lengths(self._compose_html(), self._unit)
+            if self.topics()
+            else super()._repr_html_()
+        )
+
+    def _compose_html(self) -> str:
         topics = self.topics()
         return (
             format_html_paragraphs([self._make_headline()]) + format_html_topics(topics)
             if topics
-            else super()._repr_html_()
+            else super()._compose_html()
         )
 
 

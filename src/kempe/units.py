@@ -6,8 +6,11 @@ mechanism meets another one, a file format or a library that has a unit of its o
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 from typing import Any
+
+import numpy as np
 
 from kempe.arrays import is_array, is_sequence
 from kempe.errors import InputError, format_value
@@ -45,6 +48,31 @@ def make_tolerance(tolerance: float, unit: str) -> tuple[float, float]:
     return from_metres(tolerance, unit), tolerance
 
 
+_IN_TEXT = re.compile(
+    r"(?<=[\d)]\ )m(?=$|[,.;:)\]/^²³<]|\s(?!=))"  # 0.5 m, (1, 2) m, 2 m/s, 3 m^2
+    r"|(?<=[\[(])m(?=[\],])"  # [m], (m, rad)
+    r"|(?<=\w\ )m(?=\ (?:apart|away|a\ rad)\b)"  # l1 m apart
+    r"|\bmetres\b"
+)
+"""Where a text names the unit of a length."""
+
+
+def name_lengths(text: Any, unit: str) -> Any:
+    """Return a text, or a sequence of texts, with lengths called by the unit of a mechanism.
+
+    Sentences are made with "m", as rows of equations are; numbers are in the mechanism's unit.
+    """
+    if unit == METRE:
+        return text
+    if isinstance(text, str):
+        return _IN_TEXT.sub(lambda found: NAMES[unit] if len(found[0]) > 1 else unit, text)
+    if is_array(text):
+        return np.array([name_lengths(x, unit) for x in text.ravel()], dtype=object).reshape(
+            text.shape
+        )
+    return [name_lengths(x, unit) for x in text]
+
+
 def scale_lengths(x: Any, factor: Fraction) -> Any:
     """Multiply lengths by a fraction: a number, an array, an expression, or sequences of them.
 
@@ -58,11 +86,3 @@ def scale_lengths(x: Any, factor: Fraction) -> Any:
     # a product or a quotient alone rounds once: 40 mm are the same number as 0.04 m
     x = x if factor.numerator == 1 else x * float(factor.numerator)
     return x if factor.denominator == 1 else x / float(factor.denominator)
-
-
-def name_unit(of_row: str, unit: str) -> str:
-    """Return a unit of a row with the mechanism's unit of length: "m/s" becomes "mm/s".
-
-    Angles, and numbers without a unit, stay as they are.
-    """
-    return of_row.replace(METRE, unit, 1) if of_row[:1] == METRE else of_row

@@ -22,6 +22,7 @@ from kempe.numerics.clock import describe_early_end
 from kempe.report import MOST_JUDGED, ROWS, Nearest, Result, Table
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.units import name_lengths
 from kempe.words import ByName, Quantity, format_share, join_first_words, make_plural
 
 if TYPE_CHECKING:
@@ -94,7 +95,8 @@ class Answer(Result, Tabular):
 
     def sentence(self, index: tuple[int, ...] | int = ()) -> str:
         """Return the sentence for one target, given its index in the batch. Errors: `InputError`."""
-        return self._compose_sentence(read_batch_index(index, self._batch_shape))
+        said = self._compose_sentence(read_batch_index(index, self._batch_shape))
+        return name_lengths(said, self._unit)
 
     @property
     def _batch_shape(self) -> tuple[int, ...]:
@@ -119,10 +121,10 @@ class Answer(Result, Tabular):
         """Sentence for a single answer; an array of sentences for a batch. Computed on demand."""
         more = "" if self.within is None else f"; {self.within.sentence}"
         if not self._batch_shape:
-            return self._compose_sentence(()) + more
+            return name_lengths(self._compose_sentence(()) + more, self._unit)
         out = np.empty(self._batch_shape, dtype=object)
         for index in np.ndindex(out.shape):
-            out[index] = self._compose_sentence(index) + more
+            out[index] = name_lengths(self._compose_sentence(index) + more, self._unit)
         return out
 
     # ---- what is missed
@@ -179,7 +181,8 @@ class Answer(Result, Tabular):
         if self._batch_shape:
             return f"{false} are contradicted by an independent check" if false else ""
         said = self.judged.of(claimed)
-        return f"success is contradicted; {said}" if false else str(said)
+        text = f"success is contradicted; {said}" if false else str(said)
+        return name_lengths(text, self._unit)
 
     # ---- as a picture, as a table, as text, as data
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.spatial import Array
+from kempe.units import METRE
 from kempe.words import InWords
 
 if TYPE_CHECKING:
@@ -94,7 +95,8 @@ def make_reach_evidence(
         turned=turned,
         plane=plane,
         task=task,
-        times=times,
+        # only metres are what millimetres are taken for
+        times=times if system.unit == METRE else 0.0,
         point=point,
         slides=list(slides),
     )

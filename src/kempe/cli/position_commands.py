@@ -417,9 +417,12 @@ def run_query(
         ]
         print_json({"frame": space.frame, "kind": space.kind, "resolution": off, "points": found})
         return
-    edge = "the exact boundary" if not off else f"the boundary of the map (+- {off:.2g} m)"
+    unit = space.system.unit
+    edge = "the exact boundary" if not off else f"the boundary of the map (+- {off:.2g} {unit})"
     for p, i, f in zip(points, inside, far, strict=True):
-        beside = "" if turned else f", {abs(f):.4g} m {'inside' if f >= 0 else 'outside'} {edge}"
+        beside = (
+            "" if turned else f", {abs(f):.4g} {unit} {'inside' if f >= 0 else 'outside'} {edge}"
+        )
         print(f"{p}: {'reached' if i else 'not reached'}{beside}")
 
 

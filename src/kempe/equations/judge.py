@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
@@ -36,6 +36,7 @@ from kempe.model.coordinates import Follower, list_coordinate_names
 from kempe.model.kernel_functions import ConfigurationRows
 from kempe.model.model import Model, keep_answers
 from kempe.spatial import Array
+from kempe.units import METRE
 from kempe.words import InWords
 
 # ---- loops: how far joints that the spanning tree left out are open
@@ -511,6 +512,8 @@ class Judgement(InWords):
     names: tuple[str, ...]
     errors: Array
     allowed: Array = field(repr=False)
+    unit: str = field(default=METRE, repr=False)
+    """Unit of the lengths."""
 
     @property
     def missed(self) -> np.ndarray:
@@ -524,7 +527,7 @@ class Judgement(InWords):
 
     def of(self, which: np.ndarray) -> Judgement:
         """Return the judgement of the configurations where `which` (...) is true."""
-        return Judgement(self.names, self.errors[:, which], self.allowed[:, which])
+        return replace(self, errors=self.errors[:, which], allowed=self.allowed[:, which])
 
     def __bool__(self) -> bool:
         return bool(np.all(self.holds))
@@ -539,13 +542,15 @@ class Judgement(InWords):
             names = ", ".join(map(repr, self.names[:SHOWN])) + (
                 f", ... ({n} in all)" if n > SHOWN else ""
             )
-            most = "{:.1g} m and {:.1g} rad".format(*each.max(axis=(0, 1), initial=0.0))
+            place, turn = each.max(axis=(0, 1), initial=0.0)
+            most = f"{place:.1g} {self.unit} and {turn:.1g} rad"
             return f"independent check: {names} {'holds' if n == 1 else 'hold'} to {most}"
         share = (each / self.allowed.reshape(n, -1, 2)).max(axis=-1)
         k, row = np.unravel_index(
             int(np.argmax(np.where(np.isnan(share), np.inf, share))), share.shape
         )
-        far = "{:.3g} m and {:.3g} rad".format(*each[k, row])
+        place, turn = each[k, row]
+        far = f"{place:.3g} {self.unit} and {turn:.3g} rad"
         return f"independent check: {self.names[k]!r} is missed by {far}"
 
     def data(self) -> dict[str, Any]:
@@ -615,5 +620,8 @@ def judge_configurations(
         len(found), *lead
     )
     return Judgement(
-        tuple(n for n, _ in found), errors, np.array(allowed).reshape(len(found), *lead)
+        tuple(n for n, _ in found),
+        errors,
+        np.array(allowed).reshape(len(found), *lead),
+        system.unit,
     )

@@ -146,8 +146,8 @@ def make_subject(
     scene = build_scene(system, q, drivers)
     if not all(np.all(np.abs(scene.list_points(link)) < FARTHEST) for link in scene.links):
         raise InputError(
-            f"{system.name} has points that are not finite or beyond {FARTHEST:g} m: nothing is "
-            "drawn"
+            f"{system.name} has points that are not finite or beyond {FARTHEST:g} {system.unit}: "
+            "nothing is drawn"
         )
     if way is not None and not names:
         names = list(
@@ -344,7 +344,7 @@ def plot_history(history: Any, ax: Axes | None = None) -> Axes:
         else page.check_axes(ax)[0]
     )
     least = 1e-17
-    units = {"position": "m", "orientation": "rad"}
+    units = {"position": history.system.unit, "orientation": "rad"}
     kinds = {"position": "-", "orientation": (0, (5, 2))}
     errors = {name: np.asarray(getattr(history, f"{name}_error")) for name in units}
     errors = {name: values for name, values in errors.items() if values.any()}

@@ -121,7 +121,9 @@ def plot_curves(curves: SingularCurves, ax: Axes | None = None) -> Axes:
     if d == 2:
         page.draw_light_axes(given)
     for name in "xyz"[:d]:
-        getattr(given, f"set_{name}label")(f"{name} [m]", size=style.FONT, color=style.INK)
+        getattr(given, f"set_{name}label")(
+            f"{name} [{curves.system.unit}]", size=style.FONT, color=style.INK
+        )
     said = describe_early_end(
         curves.broken is Status.INTERRUPTED, curves.broken is Status.OUT_OF_TIME
     )

@@ -24,6 +24,7 @@ from kempe.numerics.clock import TIME_LIMIT, TimeLimit, describe_early_end
 from kempe.spaces.two_freedoms import NEEDED, TwoFreedoms, make_two_freedoms
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.units import name_lengths
 from kempe.views.drawing import page, style
 from kempe.views.drawing.scene import build_scene
 from kempe.views.singular_plot import LINES
@@ -459,7 +460,7 @@ def _draw_point(
         said = (
             f"{np.degrees(far):.3g}°"
             if space.task.directional
-            else page.format_length(float(f"{far:.3g}"))
+            else page.format_length(float(f"{far:.3g}"), space.system.unit)
         )
         left.plot(
             *_list_values(space, q),
@@ -612,8 +613,12 @@ def _finish_axes(
         room = 0.04 * (space.high[i] - space.low[i])
         limits(space.low[i] - room, space.high[i] + room)
         label(f"{space.names[i]} [{unit[space.names[i]]}]", size=style.FONT, color=style.INK)
-    right.set_xlabel(space.task.labels[0], size=style.FONT, color=style.INK)
-    right.set_ylabel(space.task.labels[1], size=style.FONT, color=style.INK)
+    right.set_xlabel(
+        name_lengths(space.task.labels[0], space.system.unit), size=style.FONT, color=style.INK
+    )
+    right.set_ylabel(
+        name_lengths(space.task.labels[1], space.system.unit), size=style.FONT, color=style.INK
+    )
     right.set_aspect("equal", adjustable="box")
     left.set_title("configuration space", size=style.FONT + 1, color=style.INK)
     said = f"task space: {space.task.describe_task(space.frame)}{'' if space.complete else ', as found'}"

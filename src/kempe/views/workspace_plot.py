@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from kempe.arguments import numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.spatial import Array
+from kempe.units import name_lengths
 from kempe.views.drawing import page, shapes, space, style
 from kempe.views.plots import plot
 
@@ -151,7 +152,8 @@ def _draw_outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> N
 
 def _format_unit(workspace: Workspace, axis: str) -> str:
     """Return the unit of an axis with a blank before it; '' for heights."""
-    return "" if axis == "height" else f" {workspace.map.unit}"
+    said = "" if axis == "height" else f" {workspace.map.unit}"
+    return name_lengths(said, workspace.system.unit)
 
 
 def _add_outer_cells(middles: Array, size: float) -> Array:
@@ -205,10 +207,12 @@ def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
         ax.plot(np.real(p), np.imag(p), color="0.15", linewidth=1.2)
     ax.set_aspect("equal")
     page.draw_light_axes(ax)
-    ax.set_xlabel("x [m]", size=style.FONT, color=style.INK)
-    ax.set_ylabel("y [m]", size=style.FONT, color=style.INK)
+    ax.set_xlabel(f"x [{workspace.system.unit}]", size=style.FONT, color=style.INK)
+    ax.set_ylabel(f"y [{workspace.system.unit}]", size=style.FONT, color=style.INK)
     ax.set_title(
-        f"{workspace.frame}: {workspace.area:.4g} m²", size=style.FONT + 1, color=style.INK
+        f"{workspace.frame}: {workspace.area:.4g} {workspace.system.unit}²",
+        size=style.FONT + 1,
+        color=style.INK,
     )
     if workspace.regions:
         page.draw_legend(ax, own)
@@ -279,7 +283,7 @@ def plot_placement(found: BasePlacement, ax: Axes | None = None) -> Axes:
     """
     names = list(found.axes)
     index = np.unravel_index(int(found.order[0]), found.fraction.shape)
-    units = [f"{n} [{'rad' if n == 'yaw' else 'm'}]" for n in names]
+    units = [f"{n} [{'rad' if n == 'yaw' else found.system.unit}]" for n in names]
     x = found.axes[names[0]]
     if len(names) == 1:
         ax = page.make_figure().add_subplot() if ax is None else page.check_axes(ax)[0]
@@ -308,13 +312,14 @@ def plot_capability(
     By default the layer is the middle one.
     """
     values = found.fraction
+    unit = found.system.unit
     title = found.frame
     if len(found.axes) == 3:
         z = found.axes[2]
         k = len(z) // 2 if height is None else int(np.argmin(np.abs(z - height)))
         values = values[..., k]
-        title = f"{title}, z = {z[k]:.3g} m"
-    ax = _draw_picture(ax, found.axes[0], found.axes[1], values, ("x [m]", "y [m]"))
+        title = f"{title}, z = {z[k]:.3g} {found.system.unit}"
+    ax = _draw_picture(ax, found.axes[0], found.axes[1], values, (f"x [{unit}]", f"y [{unit}]"))
     ax.set_aspect("equal")
     ax.set_title(title)
     return ax

@@ -25,6 +25,7 @@ from kempe.report import Report, Table
 from kempe.spaces.task_space import compute_image_ranks
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.units import METRE
 from kempe.words import format_count, make_plural
 from kempe.workspace.cell_map import CellMap, Grid
 from kempe.workspace.kinds import (
@@ -664,7 +665,9 @@ class Workspace(Report):
         of = self.map.counts.size
         wanted = self.workspace_kind
         left = f" ({self.requested:.6g} were requested)" if self.samples < self.requested else ""
-        part, unit = (1.0, "m") if max(self.map.cell) >= LARGE else (1e3, "mm")
+        unit = self.system.unit
+        small = unit == METRE and max(self.map.cell) < LARGE
+        part, unit = (1e3, "mm") if small else (1.0, unit)
         edges = " x ".join(f"{part * x:.4g}" for x in self.map.cell)
         size = "" if self.kind == ORIENTATION else f" of {edges} {unit}"
         cells = (

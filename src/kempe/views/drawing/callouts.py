@@ -187,7 +187,12 @@ def _draw_dimensions(sheet: Sheet, subject: Subject, link: SeenLink) -> None:
         length = float(np.linalg.norm(b - a))
         if length > 4.0 * sheet.r:
             _draw_dimension(
-                sheet, a, b, name_length(known, length), f"dimension:{link.name}:{k}", GROUND
+                sheet,
+                a,
+                b,
+                name_length(known, length, subject.system.unit),
+                f"dimension:{link.name}:{k}",
+                GROUND,
             )
 
 
@@ -322,7 +327,9 @@ def list_texts(subject: Subject, mark: float) -> list[Text]:
         if options.dimensions and not link.is_ground and len(scene.list_points(link)) > 1:
             known = list_named_lengths(subject.system, link.bodies)
             for k, line in enumerate(side for one in lines for side in _split_polyline(one)):
-                text = name_length(known, float(np.linalg.norm(line[-1] - line[0])))
+                text = name_length(
+                    known, float(np.linalg.norm(line[-1] - line[0])), scene.system.unit
+                )
                 look = {
                     "color": GROUND,
                     "style": "italic",

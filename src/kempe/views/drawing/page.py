@@ -16,12 +16,11 @@ from matplotlib.lines import Line2D
 
 from kempe.errors import InputError
 from kempe.spatial import Array
+from kempe.units import METRE
 from kempe.views.drawing import labels, style
 from kempe.views.drawing.planar import Sheet
 from kempe.views.drawing.style import FAINT, FONT, INK, PAPER
 
-ALONG = "x [m]"
-"""Name of the horizontal axis."""
 WIDTH = (3.2, 7.0)
 HEIGHT = (2.4, 6.6)
 """Least and largest size of a drawing in inches."""
@@ -129,7 +128,7 @@ def make_axes(
 
 
 def finish_page(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> None:
-    """Set limits and equal aspect, place the labels, and add axes in metres or a scale bar."""
+    """Set limits and equal aspect, place the labels, and add axes with units or a scale bar."""
     ax = sheet.ax
     ax.set_aspect("equal", adjustable="box")
     ax.set_xlim(lower[0], upper[0])
@@ -147,10 +146,12 @@ def finish_page(sheet: Sheet, lower: Array, upper: Array, with_axes: bool) -> No
         place = sheet.obstacles.find_free_place(p, box, clearance + 2.0 * metres_a_point, outward)
         how: dict[str, Any] = {"size": FONT, **look}
         ax.text(place[0], place[1], text, ha="center", va="center", zorder=style.TEXT, **how)
-    if with_axes and ax.get_xlabel() != ALONG:  # else they are drawn: a frame of a motion
+    unit = sheet.scene.system.unit
+    along = f"x [{unit}]"
+    if with_axes and ax.get_xlabel() != along:  # else they are drawn: a frame of a motion
         draw_light_axes(ax)
-        ax.set_xlabel(ALONG, size=FONT, color=INK)
-        ax.set_ylabel("y [m]", size=FONT, color=INK)
+        ax.set_xlabel(along, size=FONT, color=INK)
+        ax.set_ylabel(f"y [{unit}]", size=FONT, color=INK)
     elif not with_axes:
         ax.set_axis_off()
         _draw_scale_bar(sheet)
@@ -211,8 +212,10 @@ def round_length(length: float) -> float:
     return next(k * power for k in (5.0, 2.0, 1.0) if k * power <= length * (1 + 1e-12) or k == 1.0)
 
 
-def format_length(length: float) -> str:
-    """Format a length with the unit that makes it short, such as '2 mm'."""
+def format_length(length: float, unit: str) -> str:
+    """Format a length with its unit; metres with the unit that makes them short, such as '2 mm'."""
+    if unit != METRE:
+        return f"{length:g} {unit}"
     if abs(length) >= 0.1 or length == 0.0:
         return f"{length:g} m"
     return f"{1e3 * length:g} mm" if abs(length) >= 1e-4 else f"{1e6 * length:g} µm"
@@ -236,7 +239,7 @@ def _draw_scale_bar(sheet: Sheet) -> None:
     ax.text(
         start + length,
         y,
-        f"  {format_length(length)}",
+        f"  {format_length(length, sheet.scene.system.unit)}",
         transform=transform,
         ha="left",
         va="center",

@@ -81,7 +81,7 @@ class Subject:
         from kempe.views.drawing.page import format_length
 
         gap = 0.0 if self.missed is None else float(np.linalg.norm(self.missed[1] - self.missed[0]))
-        return format_length(float(f"{gap:.3g}"))
+        return format_length(float(f"{gap:.3g}"), self.system.unit)
 
     def place_names(self, points: list[Array]) -> list[tuple[Array, str, dict[str, Any]]]:
         """List the name or number of each configuration with its position and text style.
@@ -147,8 +147,8 @@ def format_coordinate(subject: Subject, name: str) -> str:
     value = value if abs(value) > NOTHING else 0.0
     unit = subject.units.get(name, "")
     said = (
-        format_length(round(value, 4))
-        if unit == "m" and abs(value) >= 1e-4
+        format_length(round(value, 4), unit)
+        if unit == subject.system.unit and abs(value) >= 1e-4
         else f"{value:.3g} {unit}".rstrip()
     )
     return f"{name} = {said}"
@@ -173,12 +173,12 @@ def list_named_lengths(system: Model, bodies: Any) -> list[tuple[str, float]]:
     return [(x.text.lstrip("-"), abs(float(x.evaluate(m.parameters)))) for x in values]
 
 
-def name_length(known: list[tuple[str, float]], length: float) -> str:
+def name_length(known: list[tuple[str, float]], length: float, unit: str) -> str:
     """Return the shortest parameter expression with this length, or the length itself."""
     from kempe.views.drawing.page import format_length
 
     same = [text for text, value in known if abs(value - length) < 1e-9 * max(length, 1e-9)]
-    return min(same, key=len) if same else format_length(float(f"{length:.3g}"))
+    return min(same, key=len) if same else format_length(float(f"{length:.3g}"), unit)
 
 
 # ---- configurations

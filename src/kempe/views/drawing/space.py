@@ -53,7 +53,7 @@ def make_empty_axes(
 ) -> Axes:
     """Make empty axes in space, in a figure with the proportions of these bounds."""
     ax = make().add_axes((0.0, 0.0, 1.0, 1.0), projection="3d")
-    _set_limits(ax, bounds[0], *bounds[1])
+    _set_limits(ax, subject.system.unit, bounds[0], *bounds[1])
     fit_figure(ax)
     return ax
 
@@ -137,7 +137,7 @@ def draw_picture(
         all_points.append(np.zeros((1, 3)))
     elev, azim = _choose_view(scene) if bounds is None else bounds[1]
     if bounds is None:
-        _set_limits(ax, np.concatenate(all_points), elev, azim)
+        _set_limits(ax, scene.system.unit, np.concatenate(all_points), elev, azim)
     if own:
         fit_figure(ax)
     skeleton += [np.stack([e[0], tip]) for e in ends for tip in e[1:]]
@@ -233,8 +233,8 @@ def _choose_view(scene: Scene) -> tuple[float, float]:
     return next(v for v, c in zip(VIEWS, costs, strict=True) if c <= 1.0000001 * best)
 
 
-def _set_limits(ax: Any, points: Array, elev: float, azim: float) -> None:
-    """Set limits with equal scales, light axes in metres, and the view of axes in space."""
+def _set_limits(ax: Any, unit: str, points: Array, elev: float, azim: float) -> None:
+    """Set limits with equal scales, light axes with their unit, and the view of axes in space."""
     lower = points.min(axis=0)
     upper = points.max(axis=0)
     room = 0.03 * float((upper - lower).max()) or 0.5  # a lone point has no extent
@@ -253,7 +253,7 @@ def _set_limits(ax: Any, points: Array, elev: float, azim: float) -> None:
         axis.set_tick_params(labelsize=FONT - 2, labelcolor=style.GROUND, color=FAINT, pad=-2)
         small = (b - a) < 0.45 * float((upper - lower).max())
         axis.set_major_locator(_make_locator(2 if small else 5))
-        axis.set_label_text(f"{name} [m]", size=FONT - 1, color=style.GROUND)
+        axis.set_label_text(f"{name} [{unit}]", size=FONT - 1, color=style.GROUND)
         axis.labelpad = -4 if small else 0
     ax.set_proj_type("ortho")
     ax.set_box_aspect(upper - lower, zoom=1.0)

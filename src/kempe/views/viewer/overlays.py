@@ -18,6 +18,7 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.forward.fk import fk
 from kempe.model.configurations import has_loops
 from kempe.spatial import Array
+from kempe.units import name_lengths
 from kempe.views.drawing import shapes
 from kempe.views.drawing.solids import parse_colour
 from kempe.views.viewer.session import MOTION_PATIENCE
@@ -194,7 +195,7 @@ def _make_cells(found: Workspace, cut: float) -> Overlay:
     d = some.ndim
     if d == 3:
         some[:, grid.list_centres("y") < cut] = False
-        said += CUT.format(cut)
+        said += name_lengths(CUT.format(cut), found.system.unit)
     full = np.pad(some, 1)
     if d == 1:
         return Overlay(found.status, lines=_split_polyline(grid.complete_points(found.map.points)))
@@ -238,7 +239,8 @@ def _iterate_capability(session: Session) -> Iterator[Overlay]:
         points[:, : system.dim] = middles[some]
         edge = float(np.min((box[1] - box[0]) / cells))
         colours = np.asarray(colormaps["cividis_r"](part[some]))[:, :3]
-        said = found.status + CUT.format(session.pose[1, 3]) * (system.dim == 3)
+        cut = name_lengths(CUT.format(session.pose[1, 3]), system.unit)
+        said = found.status + cut * (system.dim == 3)
         yield Overlay(said, points, colours, edge * (0.15 + 0.45 * part[some]))
 
 

@@ -99,7 +99,11 @@ def _format_page(session: Session, drawn: Drawn, named: bool, seconds: float) ->
         text = record.as_html()
     finally:
         silence_action(server.stop)
-    more = "" if motion is None else f" (lengths in m; red: the curve of {session.frame})"
+    more = (
+        ""
+        if motion is None
+        else f" (lengths in {session.system.unit}; red: the curve of {session.frame})"
+    )
     note = NOTE.format(
         bottom=".7em" if motion is None else "4em",
         name=html.escape(session.system.name),

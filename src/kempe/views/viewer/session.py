@@ -540,7 +540,9 @@ class Session:
         from kempe.views.drawing.page import format_length
 
         off = float(np.linalg.norm(X[:3, 3] - self.pose[:3, 3]))
-        parts = [f"{format_length(float(f'{off:.2g}'))} away"] * (off > APART * self.size)
+        parts = [f"{format_length(float(f'{off:.2g}'), self.system.unit)} away"] * (
+            off > APART * self.size
+        )
         if self.task == "pose":
             angle = float(np.linalg.norm(log_so3(self.pose[:3, :3].T @ X[:3, :3])))
             parts += [f"turned by {np.rad2deg(angle):.2g}°"] * (angle > APART)

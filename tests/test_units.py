@@ -1,0 +1,230 @@
+"""Sentences, tables and pictures name the unit of the mechanism: a designer's millimetres are no metres.
+
+The same mechanisms in metres and in millimetres say the same but for numbers and the unit.
+"""
+
+import re
+
+import numpy as np
+import pytest
+
+import kempe
+from kempe.description.length_units import convert_unit
+from kempe.errors import KempeError
+from kempe.units import name_lengths
+from kempe.views.facts import SystemFacts
+from kempe.words import InWords
+
+METRES = re.compile(r"(?<![\w'\"`.])m(?![\w'\"`=]| =)|\bmetres?\b")
+"""The unit, as a word of its own."""
+NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?|\b(?:one|two|three|no)\b")
+
+
+def in_millimetres(X):
+    """Return poses or places with lengths in millimetres."""
+    out = np.array(X, dtype=float)
+    if out.shape[-2:] == (4, 4):
+        out[..., :3, 3] *= 1e3
+        return out
+    return out * 1e3
+
+
+def make_slider_crank():
+    m = kempe.Mechanism("slider-crank", dim=2)
+    m.revolute("crank", m.ground, m.body("crank"), actuated=True)
+    m.revolute("pin", "crank", m.body("rod"), at=(0.04, 0))
+    m.revolute("wrist", "rod", m.body("piston"), at=(0.12, 0))
+    m.prismatic("stroke", m.ground, "piston", axis="x", limits=(0.08, 0.16))
+    m.frame("tip", "piston", at=(0.01, 0))
+    return m
+
+
+def make_arm():
+    m = kempe.from_dh([{"d": 0.4, "alpha": np.pi / 2}, {"a": 0.35}, {"a": 0.2}], name="arm3")
+    m.prismatic("s", "link3", m.body("hand", mass=1.0, center=(0.01, 0, 0.02)), limits=(0, 0.3))
+    m.helical("h", "hand", m.body("screw"), pitch=0.01, limits=(-1, 1))
+    m.frame("tip", "screw", at=(0.05, 0, 0))
+    m.shape("hand", "capsule", radius=0.04, length=0.1)
+    m.shape("link1", "box", size=(0.1, 0.1, 0.2))
+    m.obstacle("table", "box", size=(1, 1, 0.1), at=(0, 0, -0.3))
+    return m
+
+
+def make_rods():
+    m = kempe.Mechanism("rods")
+    m.spherical("A", m.ground, m.body("a"))
+    m.frame("p", "a", at=(0.3, 0, 0))
+    m.constrain(kempe.constraints.Distance("p", "ground", 0.5, other_point=(0, 0.4, 0)), name="rod")
+    m.frame("plane", m.ground, at=(0, 0, -0.2))
+    m.contact("c", "a", "plane")
+    return m
+
+
+def make_car():
+    car = kempe.Mechanism("car", dim=2)
+    car.planar("drive", car.ground, car.body("body"))
+    car.no_sideslip("rear axle", "body")
+    return car
+
+
+def say_slider_crank(system, k):
+    """Yield what verbs say of a slider-crank with its numbers k times as large."""
+    at = system.q({"crank": 0.5, "stroke": 0.15 * k})
+    q = system.assemble({"crank": 0.5}, start={"stroke": 0.15 * k}).q
+    yield lambda: system
+    yield lambda: system.assemble({"crank": 0.5}, start=at)
+    yield lambda: system.assemble({"stroke": 0.3 * k})
+    yield lambda: system.assembly_modes({"crank": 0.5})
+    yield lambda: system.mobility()
+    yield lambda: system.mobility(q)
+    yield lambda: system.trace("crank", start=q)
+    yield lambda: system.drive({"crank": 1.0}, start=q)
+    yield lambda: system.workspace("tip", n=2000)
+    yield lambda: system.configuration_space
+    yield lambda: system.configuration_space.components()
+    yield lambda: system.singularities()
+    yield lambda: system.singularities("tip")
+    yield lambda: system.task_space("tip")
+    yield lambda: system.idealise()
+    yield lambda: system.independent()
+    yield lambda: system.loops.relative_motion(q, "rod", "ground")
+    yield lambda: system.loops.transmission_angle("wrist", q)
+    yield lambda: system.loops.closed_form({"crank": 0.5})
+    yield lambda: system.reach.planar("tip")
+    yield lambda: system.simulate(0.5, start=q, inputs={"crank": 1.0})
+    for part in (system.structure.joints, system.structure.frames):
+        yield from ((lambda x=x: x) for x in part.values())
+    yield lambda: SystemFacts(system)
+    yield lambda: system.ik((0.1 * k, 0), "tip", tolerance=1e-5).judged
+    yield lambda: system.ik((0.1 * k, 0), "tip")
+    yield lambda: system.ik((1.5 * k, 0), "tip")
+    yield lambda: system.ik(
+        [kempe.tasks.Position("tip", (0.1 * k, 0)), kempe.tasks.Position("rod", (9 * k, 0))]
+    )
+    yield lambda: system.loops
+    yield lambda: system.ik_step(q, np.array([5 * k, 0, 0, 0, 0, 0]), "tip", dt=0.1)
+
+
+def say_arm(system, k):
+    """Yield what verbs say of an arm with its numbers k times as large."""
+    q = system.q({"q1": 0.3, "q2": 0.4, "q3": 0.5, "s": 0.1 * k})
+    X = system.fk(q, "tip")
+    far = X.copy()
+    far[0, 3] += 5 * k
+    yield lambda: system
+    yield lambda: system.ik(X, "tip")
+    yield lambda: system.ik(far, "tip")
+    yield lambda: system.ik(np.stack([X, far]), "tip")
+    yield lambda: system.ik(X[:3, 3], "tip")
+    yield lambda: system.ik(
+        [kempe.tasks.Position("tip", X[:3, 3]), kempe.tasks.Position("hand", far[:3, 3])]
+    )
+    yield lambda: system.ik(
+        [kempe.tasks.Position("tip", X[:3, 3]), kempe.tasks.Clearance(at_least=0.02 * k)]
+    )
+    yield lambda: system.ik_all(X[:3, 3], "link2")
+    yield lambda: system.ik_all(X, "link2")
+    yield lambda: system.ik_path(np.stack([X, X]), "tip", start=q)
+    yield lambda: system.ik_path(np.stack([X, far]), "tip", start=q)
+    yield lambda: system.geometry.nearest(q)
+    yield lambda: system.reach.poses(X[None], "tip")
+    yield lambda: system.reach.capability("tip", cells=3, box=((-k, -k, -k), (k, k, k)))
+    yield lambda: system.inverse.plan("tip")
+    yield lambda: system.inverse.plan("link2", task="position")
+    yield lambda: system.inverse.self_motion(q, kempe.tasks.Position("tip", X[:3, 3]))
+    yield lambda: system.symbolic.to_dh("tip")
+    yield lambda: system.symbolic.ik("link2", task="position")
+    yield lambda: system.ik(far, "tip", history=True)
+    yield lambda: system.task_space("tip")
+    yield lambda: SystemFacts(system)
+    yield lambda: system.mobility()
+    yield lambda: system.workspace("tip", n=2000)
+    yield lambda: system.ik_step(q, np.array([5 * k, 0, 0, 0, 0, 0]), "tip", dt=0.1)
+
+
+def say_rods(system, k):
+    """Yield what verbs say of a body on a rod."""
+    yield lambda: system
+    yield lambda: SystemFacts(system)
+    yield lambda: system.loops.relative_motion(system.assemble().q, "a", "ground")
+    yield lambda: system.mobility()
+    yield lambda: system.assemble()
+    yield lambda: system.assemble({"A": [1, 0, 0, 0]})
+    yield lambda: system.classify()
+
+
+def say_car(system, k):
+    """Yield what verbs say of a car."""
+    q = system.neutral
+    yield lambda: system.classify()
+    yield lambda: system.manoeuvre(q, system.q({"drive.y": 2.0 * k}))
+    yield lambda: system.ik_step(q, np.array([0, k, 0, 0, 0, 0]), "body", dt=0.1)
+
+
+CASES = {
+    "slider crank": (make_slider_crank, say_slider_crank),
+    "arm": (make_arm, say_arm),
+    "rods": (make_rods, say_rods),
+    "car": (make_car, say_car),
+}
+
+
+def list_texts(thing):
+    """List the texts that an answer shows."""
+    if thing is None:
+        return []
+    out = [str(thing)]
+    if hasattr(thing, "text") and callable(thing.text):
+        out += [thing.text(), thing.text(degrees=True), thing._repr_html_()]
+    parts = [x for x in getattr(thing, "__dict__", {}).values()]
+    for part in [*parts, *(x for p in parts if isinstance(p, (list, tuple)) for x in p)]:
+        if isinstance(part, InWords):
+            out.append(str(part))
+    if hasattr(thing, "status"):
+        out += np.ravel(np.asarray(thing.status, dtype=object)).tolist()
+    return out
+
+
+def list_answer_texts(ask):
+    """List the texts of an answer, or of the error in its place."""
+    try:
+        return list_texts(ask())
+    except KempeError as error:
+        return [str(error)]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_no_sentence_in_millimetres_says_metres(name):
+    make, say = CASES[name]
+    said = [list_answer_texts(x) for x in say(convert_unit(make(), "mm").build(), 1e3)]
+    wrong = [line for texts in said for t in texts for line in t.split("\n") if METRES.search(line)]
+    assert not wrong, "\n".join(dict.fromkeys(wrong))
+
+
+def test_texts_without_a_unit_stay_as_they_are():
+    text = "0.5 m, 'm' is 2 m/s, 1 m^2, (m, rad), x [m], (1, 2, 3) m; metres; l1 m apart"
+    assert name_lengths(text, "m") is text
+    assert name_lengths(text, "mm") == (
+        "0.5 mm, 'm' is 2 mm/s, 1 mm^2, (mm, rad), x [mm], (1, 2, 3) mm; millimetres; l1 mm apart"
+    )
+    assert (
+        name_lengths("m = 2, m n 3  m = 4, from 1 m = 2", "in")
+        == "m = 2, m n 3  m = 4, from 1 m = 2"
+    )
+    assert name_lengths(name_lengths(text, "mm"), "mm") == name_lengths(text, "mm")
+
+
+def mask_numbers(text):
+    """Return a text without its numbers and units."""
+    text = text.replace("; lengths are metres, and these look like millimetres", "")
+    text = re.sub(r"\bmm?\b|\b(?:milli)?metres\b", "U", NUMBER.sub("#", text))
+    return " ".join(text.split())
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_both_units_say_the_same(name):
+    make, say = CASES[name]
+    metres = say(make().build(), 1.0)
+    for one, two in zip(metres, say(convert_unit(make(), "mm").build(), 1e3), strict=True):
+        first, second = (list(map(mask_numbers, list_answer_texts(x))) for x in (one, two))
+        assert first == second
