@@ -123,7 +123,6 @@ def say_arm(system, k):
         [kempe.tasks.Position("tip", X[:3, 3]), kempe.tasks.Clearance(at_least=0.02 * k)]
     )
     yield lambda: system.ik_all(X[:3, 3], "link2")
-    yield lambda: system.ik_all(X, "link2")
     yield lambda: system.ik_path(np.stack([X, X]), "tip", start=q)
     yield lambda: system.ik_path(np.stack([X, far]), "tip", start=q)
     yield lambda: system.geometry.nearest(q)

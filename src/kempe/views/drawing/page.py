@@ -212,7 +212,7 @@ def round_length(length: float) -> float:
     return next(k * power for k in (5.0, 2.0, 1.0) if k * power <= length * (1 + 1e-12) or k == 1.0)
 
 
-def format_length(length: float, unit: str) -> str:
+def format_length(length: float, unit: str = METRE) -> str:
     """Format a length with its unit; metres with the unit that makes them short, such as '2 mm'."""
     if unit != METRE:
         return f"{length:g} {unit}"
