@@ -391,7 +391,9 @@ class Result:
             axes = self_.plot()
         except (KempeError, ValueError, ArithmeticError):
             return ""
-        return format_html_image(np.ravel(axes)[0].figure, self._make_headline())
+        return format_html_image(
+            np.ravel(axes)[0].figure, name_lengths(self._make_headline(), self._unit)
+        )
 
 
 by_code: Any = property(
@@ -414,9 +416,10 @@ class Report(Result):
         own = cls.__dict__.get("status")
         compose = own.fget if isinstance(own, property) else getattr(own, "func", None)
         if compose is not None:
-            cls.status = property(
+            made: Any = property(
                 lambda self: name_lengths(compose(self), self._unit), doc=own.__doc__
             )
+            setattr(cls, "status", made)  # noqa: B010
 
     @property
     def status(self) -> Any:
