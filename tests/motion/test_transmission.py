@@ -247,6 +247,9 @@ def test_names_and_open_loops():
     system, q = four_bar_on_branch(3)
     with pytest.raises(InputError, match="open by"):
         compute_loop_jacobian(system, q[0] + 0.01, ["A"], ["D"])
+    for q_open in (q[0] + 0.01, np.stack([q[0], q[0] + 0.01])):
+        with pytest.raises(InputError, match="open by"):
+            compute_transmission_angle(system, q_open, "C")
     with pytest.raises(UnknownNameError, match="coordinate or frame 'Q'"):
         compute_loop_jacobian(system, q[0], ["A"], ["Q"])
     with pytest.raises(InputError, match="direction"):
@@ -259,6 +262,10 @@ def test_names_and_open_loops():
     twin.revolute("x", twin.ground, twin.body("x"))
     with pytest.raises(InputError, match="'joint:x' or 'frame:x'"):
         compute_loop_jacobian(twin.build(), [0.1], ["x"], ["x"])
+    twin.revolute("y", twin.ground, twin.body("z"))
+    twin.gear("y", "x", -2.0)
+    with pytest.raises(InputError, match="'y' is not part of q: it follows 'x'"):
+        compute_loop_jacobian(twin.build(), [0.1], ["x"], ["y"])
     J = compute_loop_jacobian(twin.build(), [0.1], ["x"], ["joint:x", "frame:x"])
     np.testing.assert_allclose(J.matrix[:, 0], [1, 0, 0, 0, 0, 0, 1], atol=1e-15)
     assert "determine" in str(J) and "<table>" in J._repr_html_()

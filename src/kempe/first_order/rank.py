@@ -354,6 +354,15 @@ OPEN = 1e-8
 """Residual, in radians and characteristic lengths, above which a configuration is not closed."""
 
 
+def refuse_open_loops(residual: Array) -> None:
+    """Raise `InputError` where the `residual` of the scaled equations says that loops are open."""
+    gap = float(np.abs(residual).max(initial=0.0))
+    if not gap < OPEN:
+        raise InputError(
+            f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first"
+        )
+
+
 def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int] = ()) -> Array:
     """Compute an orthonormal basis (nv, k) of the velocities that all constraints allow at q.
 
@@ -368,11 +377,7 @@ def compute_allowed_velocities(closure: Closure, q: Array, inputs: Sequence[int]
             if free is not None:
                 return free
     F, J = closure.evaluate_equations(q)
-    gap = float(np.abs(F).max(initial=0.0))
-    if not gap < OPEN:
-        raise InputError(
-            f"the loops are open by {gap:.3g} (radians or characteristic lengths); assemble q first"
-        )
+    refuse_open_loops(F)
     if has_velocity_constraints(closure.system):
         A, b = compute_unit_rows(closure.system, q, closure.unit)
         if b.any():

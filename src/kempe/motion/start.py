@@ -96,16 +96,22 @@ def find_angle_or_slide(system: Model, name: str) -> int:
     layout = system.structure.layout
     if name in names and (i := names.index(name)) in layout.vector_v:
         return i
-    follower = system.structure.couplings.get(name)
-    if follower is not None:
-        said = (
-            f"it follows {follower.source!r}"
-            if follower.source
-            else f"it is held at {follower.offset:g}"
-        )
-        raise InputError(f"coordinate {name!r} is not part of q: {said}")
+    refuse_follower(system, name)
     allowed: list[str] = [names[int(i)] for i in layout.vector_v]
     raise UnknownNameError("angle or slide", name, allowed, system.name)
+
+
+def refuse_follower(system: Model, name: str) -> None:
+    """Raise `InputError` for a coordinate that is not part of q: it follows another or is held."""
+    follower = system.structure.couplings.get(name)
+    if follower is None:
+        return
+    said = (
+        f"it follows {follower.source!r}"
+        if follower.source
+        else f"it is held at {follower.offset:g}"
+    )
+    raise InputError(f"coordinate {name!r} is not part of q: {said}")
 
 
 def read_start_configuration(system: Model, start: Any, hold: Mapping[str, float]) -> Array:
@@ -360,10 +366,8 @@ def explain_freedom(equations: Closure, matrix: Array, drivers: Sequence[str]) -
     many = len(null_space) - (not drivers)
     own = null_space[:, [n in named for n in system.structure.velocity_names]]
     enough = Spectrum(own, 1.0).compute_rank(Level.GENERIC) >= many if named else False
-    head = (
-        f"{system.name} has {format_count(count, 'freedom')} to first order here, more than the "
-        f"driven coordinates; {still}: "
-    )
+    driven = f"and {format_count(len(drivers), 'driver')}" if drivers else "and a curve has 1"
+    head = f"{system.name} has {format_count(count, 'freedom')} to first order here, {driven}; {still}: "
     if not named:
         return (
             f"{head}{_format_names(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} "
@@ -377,7 +381,7 @@ def explain_freedom(equations: Closure, matrix: Array, drivers: Sequence[str]) -
     )
     return (
         f"{head}{_format_names(named)}{also}; hold {which} of them (hold={{name: value}}), or lock "
-        f"{them}; a singular point where branches of several freedoms meet is no place to start"
+        f"{them}; if there should be fewer freedoms, this start is folded or singular: give another"
     )
 
 

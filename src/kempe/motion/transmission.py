@@ -25,12 +25,12 @@ from kempe.assemble.nearest_exact import answer_within_tolerance, describe_neare
 from kempe.constraints.tape import TWIST
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
-from kempe.first_order.rank import compute_allowed_velocities
+from kempe.first_order.rank import compute_allowed_velocities, refuse_open_loops
 from kempe.forward.fk import fk, jacobian
 from kempe.joints import P, R
 from kempe.model.configurations import read_q
 from kempe.motion.path import Event, Path
-from kempe.motion.start import find_angle_or_slide
+from kempe.motion.start import find_angle_or_slide, refuse_follower
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Nearest, Report, Table
 from kempe.spatial import Array
@@ -204,6 +204,7 @@ def _find_output(system: Model, name: str) -> tuple[str, str]:
             f"{name!r} is a coordinate and a frame; write 'joint:{name}' or 'frame:{name}'"
         )
     if not coordinate and not frame:
+        refuse_follower(system, name)
         raise UnknownNameError(
             "coordinate or frame",
             name,
@@ -298,6 +299,9 @@ def compute_pressure_angle(
     """
     far, near = _find_dyad(system, joint, coupler, output)
     q = read_q(system, q)
+    closure = Closure(system)
+    for k in np.ndindex(q.shape[:-1]):
+        refuse_open_loops(closure.evaluate_equations(q[k])[0])
     p = _compute_joint_pose(system, q, joint)[..., :3, 3]
     a = _compute_joint_pose(system, q, far)[..., :3, 3]
     base = _compute_joint_pose(system, q, near)
