@@ -106,6 +106,11 @@ def test_namespaces_say_what_they_are(name):
         assert "loops closed by 'C'" in said and "relations" not in said
 
 
+def test_the_package_lists_its_public_names():
+    """Those that are loaded when they are first used, too, and no imports of its own."""
+    assert [name for name in dir(kempe) if not name.startswith("_")] == sorted(kempe.__all__)
+
+
 @pytest.mark.parametrize("name", NAMESPACES)
 def test_namespaces_are_made_once_and_can_be_sent(name):
     assert getattr(BAR, name) is getattr(BAR, name)

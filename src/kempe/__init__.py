@@ -215,6 +215,11 @@ def read(
     )
 
 
+def __dir__() -> list[str]:
+    """List the public names, those that are loaded when they are first used among them."""
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+
+
 def __getattr__(name: str) -> Any:
     if name in ("from_dh", "from_screws"):
         from kempe.description import dh
