@@ -612,7 +612,7 @@ class System(Model, Pictured):
         --------
         >>> import kempe
         >>> print(kempe.load("two_link").task_space("e", task="position").status)
-        position of 'e': m = n = 2, rank 2; isolated configurations reach what is reached, but for singular ones
+        position of 'e': m = n = 2, rank 2; finitely many configurations reach each point, except at singular ones
         """
         from kempe.spaces.task_space import task_space
 

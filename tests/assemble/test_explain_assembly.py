@@ -185,6 +185,18 @@ def test_too_many_known_values_are_said_to_be_too_many():
     )
 
 
+def test_a_value_given_to_what_cannot_move_is_said_to_be_too_many():
+    truss = kempe.read("four_bar").lock({"A": 1.0}).build()
+    assert "1 coordinate is given, but the mechanism cannot move (0 freedoms)" in (
+        truss.assemble({"D": 0.5}).status
+    )
+
+
+def test_limits_are_said_as_they_were_given():
+    arm = kempe.load("two_link").with_limits({"q1": (0.0, 1.0)})
+    assert arm.assemble({"q1": 2.0}).status.endswith("q1 = 2 is not in [0, 1]")
+
+
 def test_by_how_much_a_place_is_missed():
     m = Mechanism("arm", dim=2)
     m.revolute("A", m.ground, m.body("a"))

@@ -241,7 +241,7 @@ def test_rank_and_freedoms_do_not_see_them():
     assert (m.dof, m.rank_dof, m.gruebler, m.certain) == (6, 6, 6, True)
     assert m.one_sided is not None
     assert (m.one_sided.active, m.one_sided.dimension, m.one_sided.lineality) == (("floor",), 6, 5)
-    assert "floor: closed, up but not down" in str(m)
+    assert "floor: closed; its value can only grow" in str(m)
     m = ball().mobility([0, 0, 0.5, 1, 0, 0, 0])
     assert m.one_sided is not None
     assert (m.one_sided.active, m.one_sided.lineality) == ((), 6)

@@ -201,6 +201,14 @@ def test_a_sloppy_configuration_is_closed_first():
     assert np.abs(closure_error(system, q)).max() > 1e-6
     report = mobility(system, q)
     assert (report.rank_dof, report.dof) == (1, 1) and report.given_residual > 1e-6
+    assert "given with residual" in str(report)
+    folded = Mechanism("triangle", dim=2)
+    for name, before, at in (("A", "ground", 0), ("B", "a", 2), ("C", "b", 2)):
+        folded.revolute(name, before, folded.body(name.lower()), at=(at, 0))
+    folded.prismatic("D", folded.ground, "c", axis="x", at=(1, 1))
+    assert "no q was given: this is the closed one found from all zeros" in str(
+        mobility(folded.build())
+    )
     assert (
         np.abs(closure_error(system, report.q)).max() < 1e-12 and np.abs(report.q - q).max() < 1e-3
     )
@@ -450,7 +458,7 @@ def test_two_rods_where_one_would_do():
     m.distance("rod", "a", "b", 3.0, at=(0, 0.5), child_at=(0, 0.5))
     report = mobility(m.build())
     assert (report.gruebler, report.dof, report.redundant) == (0, 1, 1)
-    assert [str(r) for r in report.redundancy.releases] == ["rod: leave it out"]
+    assert [str(r) for r in report.redundancy.releases] == ["leave out the constraint rod"]
     assert dict(report.redundancy.stressed)["rod"] == ("F",)
 
 
@@ -477,6 +485,13 @@ def test_motors_that_control_are_too_few_or_too_many():
     assert mobility(four, actuated=["A"]).control.complete
     both = mobility(four, actuated=["A", "D"]).control
     assert both.complete and both.excess == 1 and "redundant actuation" in str(both)
+    rail = kempe.Mechanism("wedge", dim=2)
+    rail.prismatic("P1", rail.ground, rail.body("w"), axis="x")
+    rail.prismatic("P2", "w", rail.body("f"), axis=(2.0, 1.0))
+    rail.prismatic("P3", rail.ground, "f", axis="y")
+    wedge = mobility(rail.build())
+    assert wedge.dof == 1
+    assert "P1: one moment (about the normal)" in str(wedge.redundancy)
     driven = next(iter(five.structure.joints))
     one = mobility(five, actuated=[driven]).control
     assert not one.complete and (one.controlled, one.useful, one.excess) == (1, 2, 0)
@@ -540,6 +555,18 @@ def test_what_is_not_known_is_not_said():
     assert "below 1e-09" in str(mobility(kempe.load("schatz"))) and "proven: " in str(
         mobility(kempe.load("bennett"))
     )
+
+
+def test_the_reason_for_the_freedoms_of_trees_is_true():
+    """Gears and wheels are held by more than their joints."""
+    m = Mechanism("gears", dim=2)
+    m.revolute("A", m.ground, m.body("a"))
+    m.revolute("B", m.ground, m.body("b"), at=(1, 0))
+    assert "no loops: all joints move independently" in str(mobility(m.build()))
+    m.gear("B", "A", -2.0)
+    geared = str(mobility(m.build()))
+    assert "no loops; 'B' follows 'A'; all other joints move independently" in geared
+    assert "move independently" not in str(mobility(kempe.load("car")))
 
 
 def test_trees_and_nothing():

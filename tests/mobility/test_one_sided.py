@@ -104,7 +104,7 @@ def test_states_and_slacks():
         "lower limit of q3"
     ].ways == (True, True)
     assert "violated: lower limit of q2 by 0.25 rad" in str(found)
-    assert "closed, down but not up" in str(side["upper limit of q1"])
+    assert "reached; q1 can only shrink" in str(side["upper limit of q1"])
 
 
 def test_a_gradient_that_is_not_defined_says_nothing():
@@ -148,7 +148,7 @@ def test_opposite_contacts_hold_each_other():
     system = m.build()
     found = report_one_sided(system, [0, 0, 0.1, 1, 0, 0, 0])
     assert (found.dimension, found.lineality) == (5, 5)
-    assert "floor: closed, neither up nor down (held by ceiling)" in str(found)
+    assert "floor: closed; its value can neither grow nor shrink (held by ceiling)" in str(found)
     assert found.find_frame_directions("ball")["z"] == (False, False)
     assert found.find_frame_directions("ball")["x"] == (True, True)
     assert system.mobility([0, 0, 0.1, 1, 0, 0, 0]).dof == 6
@@ -211,7 +211,7 @@ def test_mobility_tells_which_limits_are_reached():
     assert m.one_sided is not None
     assert m.one_sided.active == ("lower limit of q1",)
     assert (m.one_sided.dimension, m.one_sided.lineality) == (2, 1)
-    assert "up but not down" in str(m)
+    assert "lower limit of q1: reached; q1 can only grow" in str(m)
     assert m.data()["one_sided"]["active"] == ["lower limit of q1"]
 
 

@@ -62,7 +62,7 @@ def test_the_sentence_names_the_input_and_its_value():
     path = four_bar(0.3, 0.1, 0.3, 0.25).trace("A", start={"A": 0.3})
     said = "1 other assembly mode with 'A' = 0.3 rad is not on this curve"
     assert path.hint == said
-    start = str(path).partition(f"  {said}: start=(")[2].partition(")")[0]
+    start = str(path).partition(f"  {said}; trace it with start=(")[2].partition(")")[0]
     np.testing.assert_allclose([float(x) for x in start.split(",")], path.elsewhere[0], atol=1e-8)
 
 

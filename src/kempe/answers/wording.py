@@ -290,12 +290,12 @@ def _explain_rank(
     return f"{said}{alone}"
 
 
-def _explain_excess_values(given: int, freedoms: int) -> str:
-    """Explain that more coordinates are given than the system has freedoms."""
-    return (
-        f"{format_count(given, 'coordinate')} {choose_verb(given, 'is', 'are')} given, but it has "
-        f"{format_count(freedoms, 'freedom')}"
-    )
+def _explain_excess_values(given: int, freedoms: int, what: str = "coordinate") -> str:
+    """Explain that more coordinates, or numbers of frames, are given than there are freedoms."""
+    said = f"{format_count(given, what)} {choose_verb(given, 'is', 'are')} given, but"
+    if not freedoms:
+        return f"{said} the mechanism cannot move (0 freedoms)"
+    return f"{said} it has {format_count(freedoms, 'freedom')}"
 
 
 def _suggest_more_starts(singular: bool = False) -> str:

@@ -349,8 +349,8 @@ class Assembler:
     def _find_known_places(self, names: list[str]) -> None:
         """Find the indices in q of the known coordinates; for a coupled one, those of its source.
 
-        Sets `places`, `sources`, `held`, and the limits `low` and `high`. Errors:
-        `UnknownNameError`, `InputError`.
+        Sets `places`, `sources`, `held`, the `limits` (2, n), and these widened by rounding, `low`
+        and `high`. Errors: `UnknownNameError`, `InputError`.
         """
         system = self.system
         couplings = system.structure.couplings
@@ -385,6 +385,7 @@ class Assembler:
                     system.structure.coordinates.lower[velocity[i]],
                     system.structure.coordinates.upper[velocity[i]],
                 )
+        self.limits = limits
         slack = 1e-9 * (1.0 + np.abs(np.where(np.isfinite(limits), limits, 0.0)))
         self.low = limits[0] - slack[0]
         self.high = limits[1] + slack[1]

@@ -159,8 +159,9 @@ def _find_coinciding_joints(system: Model, q: Array) -> list[tuple[str, str]]:
 def _describe_outside_limits(bound: Assembler, q: Array) -> str:
     """List the known values that are outside their limits."""
     texts: list[str] = []
-    for name, i, low, high in zip(bound.sources, bound.places, bound.low, bound.high, strict=True):
-        if not low <= q[i] <= high:
+    limits = zip(bound.sources, bound.places, bound.bounds, bound.limits.T, strict=True)
+    for name, i, (least, most), (low, high) in limits:
+        if not least <= q[i] <= most:
             texts.append(f"{name} = {q[i]:.6g} is not in [{low:.6g}, {high:.6g}]")
     return ", ".join(texts)
 

@@ -61,8 +61,10 @@ class Control(InWords):
         else:
             text = f"{who} control{'s' if one else ''} {self.controlled} of {useful}"
         if self.excess and len(self.actuated) == 1:
-            text += "; to first order it does not move (redundant actuation)"
-        elif self.excess:
+            return (
+                f"{who} controls nothing here: to first order it stands still" + self._list_free()
+            )
+        if self.excess:
             text += (
                 f"; {self.excess} of the {len(self.actuated)} actuated coordinates "
                 f"depend{'s' * (self.excess == 1)}"
@@ -70,7 +72,11 @@ class Control(InWords):
             text += " on the others (redundant actuation)"
         if self.singular:
             text += "; singular for these inputs: at other configurations they control more"
-        return text + "".join(f"\n  free with them held: {format_motion(m)}" for m in self.free)
+        return text + self._list_free()
+
+    def _list_free(self) -> str:
+        """List the motions that are left with the actuators held, a line each."""
+        return "".join(f"\n  free with them held: {format_motion(m)}" for m in self.free)
 
 
 def analyse_control(

@@ -79,20 +79,22 @@ class Release(InWords):
 
     `reactions` names the directions by their reactions, such as 'Mx'.
 
-    `pair` names the joint that is left, such as 'a point-on-axis pair'.
+    `pair` names the joint that is left, such as 'a point-on-axis pair'; '' where nothing is. `kind`
+    says what kind of joint or constraint it is, and `dim` that of the system.
     """
 
     joint: str
     reactions: tuple[str, ...]
     pair: str
+    kind: str = ""
+    dim: int = 3
 
     def __str__(self) -> str:
         if not self.pair:
-            return f"{self.joint}: leave it out"
-        return (
-            f"{self.joint}: {describe_reactions(self.reactions)} ({', '.join(self.reactions)}): use "
-            f"{self.pair}"
-        )
+            return f"leave out the {self.kind} {self.joint}".replace("  ", " ")
+        # in the plane a moment has one axis only, whatever the axes of the joint are
+        shown = ["about the normal" if self.dim == 2 and r[0] == "M" else r for r in self.reactions]
+        return f"{self.joint}: {describe_reactions(self.reactions)} ({', '.join(shown)}): use {self.pair}"
 
 
 @dataclass(frozen=True)
@@ -369,23 +371,29 @@ def _make_release(rows: Sequence[_JointReaction], dim: int) -> Release:
     edge = rows[0].edge
     labels = tuple(r.label for r in rows if r.label)
     if edge is None:
-        return Release(rows[0].owner, (), "")
+        return Release(rows[0].owner, (), "", dim=dim)
     if isinstance(edge.of, Declared):
         held = _name_reactions(edge.of, dim)
         every: set[str] = set(DIRECTIONS if dim == 3 else ("x", "y", "rz"))
         free = every - {_DIRECTION_OF.get(name, "") for name in held if name not in labels}
-        return Release(rows[0].owner, labels, "" if len(rows) == len(held) else name_pair(free))
+        pair = "" if len(rows) == len(held) else name_pair(free)
+        return Release(rows[0].owner, labels, pair, "constraint", dim)
+    kind = edge.of.type.type_name
+    pin = dim == 2 and kind == "revolute"
+    kind = "pin" if pin else f"{kind} joint"
     more = {_find_direction(r) for r in rows}
     free = (rows[0].free & _list_possible_directions(edge, dim)) | more
     if free == _list_possible_directions(edge, dim):
-        return Release(rows[0].owner, labels, "")
+        return Release(rows[0].owner, labels, "", kind, dim)
     if _find_free_directions(edge, dim) is None:
         return Release(
             rows[0].owner,
             labels,
             f"a {edge.of.type.type_name} joint that also {describe_motions(more)}",
+            kind,
+            dim,
         )
-    return Release(rows[0].owner, labels, name_pair(set(free)))
+    return Release(rows[0].owner, labels, name_pair(set(free)), kind, dim)
 
 
 def _list_possible_directions(edge: Edge, dim: int) -> AbstractSet[str]:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from kempe.arguments import explain_method_errors
 from kempe.errors import InputError
 from kempe.first_order.constraint_graph import NO_SERIES
@@ -17,11 +19,11 @@ from kempe.first_order.rank import Rank
 from kempe.first_order.redundant_constraints import Redundancy
 from kempe.first_order.wrenches import Wrenches
 from kempe.mobility.one_sided import OneSidedReport
-from kempe.model.configurations import name_values
+from kempe.model.configurations import compute_mid_configuration, name_values
 from kempe.report import Nearest, Report
 from kempe.spatial import Array
 from kempe.status import Status
-from kempe.words import choose_verb, cut_lines, format_count
+from kempe.words import choose_verb, cut_lines, format_count, join_first_words
 
 if TYPE_CHECKING:
     from kempe.mobility.local_dimension import LocalDimension
@@ -108,7 +110,7 @@ def describe_evidence(m: Mobility) -> str:
             sampled = ""
         return f"{m.local.method}{sampled}{sure}"
     if not m.loops and not m.rank.clusters:
-        return "no loops: each joint moves as it likes"
+        return _describe_tree_freedoms(m)
     unsure = "" if m.certain else f"; not proven: {m.unproven}"
     if not m.rank.n_dependent:
         why = (
@@ -117,6 +119,19 @@ def describe_evidence(m: Mobility) -> str:
         )
         return why + unsure
     return "no velocity keeps all loops closed: rigid" + unsure
+
+
+def _describe_tree_freedoms(m: Mobility) -> str:
+    """Describe why a tree without constraints of position has the freedoms of its coordinates."""
+    followers = [
+        f"{name!r} follows {coupling.source!r}"
+        for name, coupling in m.system.structure.couplings.items()
+        if coupling.source
+    ]
+    said = f"no loops; {join_first_words(followers, 3)}" if followers else "no loops"
+    if m.velocity_dof is not None:
+        return f"{said}; constraints of velocity leave all positions possible"
+    return f"{said}{'; all other' if followers else ': all'} joints move independently"
 
 
 def format_rank(m: Mobility) -> str:
@@ -169,6 +184,20 @@ def _describe_velocity_freedoms(m: Mobility) -> list[str]:
     ]
 
 
+def _describe_closing(m: Mobility) -> str:
+    """Describe from which open configuration the closed one comes."""
+    if not m.searched:
+        return f"given with residual {m.given_residual:.2g}; this is the nearest closed one"
+    if "closed" in m.system.structure.posture_names:
+        first = "the posture 'closed'"
+    else:
+        middle = compute_mid_configuration(m.system)
+        first = (
+            "all zeros" if np.array_equal(middle, m.system.neutral) else "the middle of the limits"
+        )
+    return f"no q was given: this is the closed one found from {first}"
+
+
 def list_topics(m: Mobility) -> list[tuple[str, list[str]]]:
     """List the topics of the report as (title, lines)."""
     out = [("count", list(m.counting.steps))]
@@ -186,7 +215,7 @@ def list_topics(m: Mobility) -> list[tuple[str, list[str]]]:
         out.append(
             (
                 "closed",
-                [f"given with residual {m.given_residual:.2g}; this is the nearest closed one"],
+                [_describe_closing(m)],
             )
         )
     if m.within is not None:
@@ -421,6 +450,8 @@ class Mobility(Report):
 
     late: bool = False
     """Whether the time limit came before the true number was known."""
+    searched: bool = False
+    """Whether no configuration was given."""
 
     @property
     def name(self) -> str:

@@ -82,7 +82,8 @@ def mobility(
     system = remove_cut_marks(system)
     find_driven_velocities(system, actuated)  # a wrong name is refused before any work
     given = None if q is None else _read_configuration(system, q)
-    return _analyze_system(system, shown, given, actuated, local, make_generator(rng), time)
+    found = _analyze_system(system, shown, given, actuated, local, make_generator(rng), time)
+    return replace(found, searched=given is None)
 
 
 def _analyze_system(

@@ -58,7 +58,10 @@ class ConeDirections(NamedTuple):
         return _WORDS[self.up][self.down]
 
 
-_WORDS = (("neither up nor down", "down but not up"), ("up but not down", "up and down"))
+_WORDS = (
+    ("can neither grow nor shrink", "can only shrink"),
+    ("can only grow", "can grow and shrink"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,7 +280,9 @@ class Side(InWords):
             return f"{self.name}: open by {amount}"
         if self.state == "violated":
             return f"{self.name}: violated by {amount}"
-        return f"{self.name}: closed, {self.ways}" + (f" ({self.why})" if self.why else "")
+        what = self.name.partition(" limit of ")[2] if self.limit else "its value"
+        state = "reached" if self.limit else "closed"
+        return f"{self.name}: {state}; {what} {self.ways}" + (f" ({self.why})" if self.why else "")
 
 
 @explain_method_errors

@@ -139,6 +139,10 @@ class Stuck:
     reached: bool = False
 
 
+UNREACHED = "this branch does not lead to the inputs asked for"
+"""Reason of being stuck where the motion turns back."""
+
+
 @dataclass(frozen=True, eq=False)
 class SegmentContext:
     """Data that all segments of the inputs share; `singular` collects the change points passed.
@@ -203,7 +207,7 @@ class SegmentContext:
                 if (b := find_next_node(way, n, self.longest)) is not None and b.x[-1] > 0.0
             ]
             if not ways:
-                return state, self._make_stuck(way, a, "no configuration with these inputs", length)
+                return state, self._make_stuck(way, a, UNREACHED, length)
             a = max(ways, key=lambda n: float(n.t[:-1] @ self.wish))
         regular = a
         was = a
@@ -269,7 +273,7 @@ class SegmentContext:
         if hit is not None and float(hit[0].x[-1]) < min(float(far.x[-1]), length) + NO_CHANGE:
             return self._make_stuck(way, hit[0], f"beyond {hit[1]}", length), None
         if turn is not None and float(turn.x[-1]) < length + SAME_INPUT:
-            return self._make_stuck(way, turn, "no configuration with these inputs", length), None
+            return self._make_stuck(way, turn, UNREACHED, length), None
         if float(far.x[-1]) <= length + NO_CHANGE:
             return None, None
         high = float(a.t @ way.compute_difference(a.x, far.x))

@@ -439,7 +439,10 @@ class Path(Motion):
         lines += [f"another branch: {path.status}" for path in self.others]
         if said := self.hint:
             other = self._name_coordinates(self.elsewhere[0]).convert_units(degrees)
-            lines.append(f"{said}: start=({', '.join(f'{x:.9g}' for x in other.tolist())})")
+            values = ", ".join(f"{x:.9g}" for x in other.tolist())
+            one = len(self.elsewhere) == 1
+            which, rest = ("it", "") if one else ("one of them", "; all are in `elsewhere`")
+            lines.append(f"{said}; trace {which} with start=({values}){rest}")
         return [*lines, *super()._list_notes()]
 
     def _collect_data(self) -> dict[str, Any]:

@@ -212,7 +212,7 @@ class Endless:
             f"{names[i]!r} = {a.x[equations.place[i]]:.3g}"
             for i in sorted(rest, key=lambda i: -abs(a.t[i]))[:3]
         ]
-        return f"infinity: nothing turns back as far as it was followed, to {', '.join(shown)}"
+        return f"infinity: no end was found up to {', '.join(shown)}"
 
 
 # ---- the verbs

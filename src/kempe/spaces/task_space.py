@@ -167,7 +167,7 @@ class TaskSpace(Report):
                 "reach what is reached"
             )
         else:
-            said = "isolated configurations reach what is reached, but for singular ones"
+            said = "finitely many configurations reach each point, except at singular ones"
         here = (
             f"; at this q the rank is {self.rank}, a singular configuration"
             if self.singular
