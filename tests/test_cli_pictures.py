@@ -34,6 +34,7 @@ SEEN = {
 }
 """Commands with something to see: words of an example, and the options that it takes."""
 ELSEWHERE = {
+    "draw": "what is drawn is drawn in the browser",
     "clearance": "two points in a table",
     "plot": "its OUT is the picture",
     "tour": "--pictures takes a folder",

@@ -179,3 +179,23 @@ def run_view(
         if not no_browser:
             webbrowser.open(viewer.url)
         viewer.wait()
+
+
+@register_command(DESCRIBE, "json")
+def run_draw(output: Output, port: Port = None, no_browser: NoBrowser = False) -> None:
+    """Draw a planar mechanism in the browser by mouse: pins, bars, sliders, the ground, the crank.
+    It is played there, copied as Python or TOML, and saved. Ctrl-C ends it.
+
+    Example: kempe draw
+    """
+    from kempe.views.viewer.board import Board
+
+    with Board(port=port) as board:
+        if output.json:
+            print_json({"url": board.url})
+        else:
+            print(f"drawing board: {board.url} (Ctrl-C ends it)")
+        sys.stdout.flush()
+        if not no_browser:
+            webbrowser.open(board.url)
+        board.wait()

@@ -67,8 +67,7 @@ def _solve(sketch: Sketch, held: set[str], pair: tuple[str, str], length: float)
     """Find the places of pins nearby at which a pair has its distance; None where there are none."""
     names = list(sketch.pins)
     free = [k for k, pin in enumerate(names) if pin not in held]
-    first = np.array([complex(*sketch.pins[pin]) for pin in names])
-    xy = np.stack([first.real, first.imag], axis=1)
+    xy = np.array([sketch.pins[pin] for pin in names], dtype=float)
     write = _list_equations(sketch, pair, length)
     size = max(float(np.ptp(xy, axis=0).max(initial=0.0)), length)
     if {*pair} <= sketch.grounded:  # the second goes along the line of the two

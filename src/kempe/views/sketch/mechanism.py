@@ -263,6 +263,10 @@ def _name_idle_pins(sketch: Sketch) -> str:
 # ---- the motion
 
 
+FRAMES = 240
+"""Configurations of a motion, at equal distances along its path."""
+
+
 @dataclass(frozen=True)
 class Motion:
     """Motion of a sketch by its crank: the path, and the poses of its bodies (n, bodies, 4, 4)."""
@@ -313,4 +317,4 @@ def compute_motion(findings: Findings) -> Motion:
             f"The crank, {describe_crank(sketch.crank)}, stands still while the rest moves: choose "
             "another one."
         )
-    return Motion(sketch, path, system.body_names, fk(system, path.q))
+    return Motion(sketch, path, system.body_names, fk(system, path.resample(FRAMES).q))

@@ -357,18 +357,35 @@ class History:
         self.sketch = sketch or Sketch()
         self._before = list[Sketch]()
         self._after = list[Sketch]()
+        self._key = ""
 
-    def add_step(self, sketch: Sketch) -> None:
-        """Take a sketch as the present one; each change is one step."""
-        if sketch != self.sketch:
+    def add_step(self, sketch: Sketch, key: str = "") -> None:
+        """Take a sketch as the present one; each change is one step.
+
+        Changes with the same `key` that follow one another, as of a pin that is dragged, are one
+        step together.
+        """
+        if sketch == self.sketch:
+            return
+        if not key or key != self._key:
             self._before.append(self.sketch)
-            self._after.clear()
-            self.sketch = sketch
+        self._after.clear()
+        self._key = key
+        self.sketch = sketch
+
+    def find_base(self, key: str) -> Sketch:
+        """Find the sketch before the changes with this key: the present one if they begin now."""
+        return self._before[-1] if key and key == self._key else self.sketch
+
+    def end_step(self) -> None:
+        """End the changes that are one step together."""
+        self._key = ""
 
     def undo_step(self) -> None:
         """Go back by one step. Errors: `InputError` at the first one."""
         if not self._before:
             raise InputError("there is nothing to undo")
+        self.end_step()
         self._after.append(self.sketch)
         self.sketch = self._before.pop()
 
@@ -376,6 +393,7 @@ class History:
         """Take the last undo back. Errors: `InputError` without one."""
         if not self._after:
             raise InputError("there is nothing to redo")
+        self.end_step()
         self._before.append(self.sketch)
         self.sketch = self._after.pop()
 

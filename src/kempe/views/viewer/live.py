@@ -8,8 +8,6 @@ from __future__ import annotations
 import copy
 import html
 import itertools
-import json
-import re
 import socket
 import threading
 import time
@@ -33,7 +31,7 @@ from kempe.views.viewer.dimensions import write_mechanism
 from kempe.views.viewer.first_sight import fit_camera, is_in_sight
 from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, split_poses
-from kempe.views.viewer.server import HOST, PageServer, RunJavascriptMessage, silence_action
+from kempe.views.viewer.server import HOST, PageServer, copy_text, save_text, silence_action
 from kempe.views.viewer.session import KINDS, Session, list_possible_motions
 from kempe.views.viewer.sliders import MANY, Slider, group_by_limb
 from kempe.words import format_count
@@ -651,16 +649,14 @@ class Page:
     def _copy_mechanism(self) -> None:
         """Copy the mechanism with its present dimensions to the clipboard, as TOML."""
         text = write_mechanism(self.session.system)
-        source = f"navigator.clipboard.writeText({json.dumps(text)})"
-        self.client.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
+        copy_text(self.client, text)
         self.session.status = f"copied: {format_count(len(text.splitlines()), 'line')} of TOML"
 
     def _save_mechanism(self) -> None:
         """Let the browser save the mechanism with its present dimensions, as a TOML file."""
-        name = re.sub(r"\W+", "_", self.session.system.name) or "mechanism"
         text = write_mechanism(self.session.system)
-        self.client.send_file_download(f"{name}.toml", text.encode(), save_immediately=True)
-        self.session.status = f"saved: {name}.toml, among the downloads of the browser"
+        file = save_text(self.client, self.session.system.name, text)
+        self.session.status = f"saved: {file}, among the downloads of the browser"
 
     # ---- sliders
 
@@ -979,7 +975,7 @@ def serve_viewer(
     """Serve the page of `show`, without opening a browser or warning about meshes."""
     shared = read_flag(share, "share")
     degrees = read_flag(deg, "deg")
-    return Viewer(Session(system, q, frame, path), shared, _check_port(port), degrees)
+    return Viewer(Session(system, q, frame, path), shared, check_port(port), degrees)
 
 
 class Viewer:
@@ -1094,7 +1090,7 @@ class Viewer:
         )
 
 
-def _check_port(port: Any) -> int:
+def check_port(port: Any) -> int:
     """Check that a port is free, 8080 by default. Errors: `InputError`."""
     if port is None:
         return PORT

@@ -15,6 +15,7 @@ import hmac
 import html
 import http
 import io
+import json
 import re
 import secrets
 from collections.abc import Callable
@@ -27,7 +28,7 @@ try:
     import viser
     import websockets.asyncio.server
     from viser import infra
-    from viser._messages import RunJavascriptMessage as RunJavascriptMessage
+    from viser._messages import RunJavascriptMessage
     from websockets.datastructures import Headers
     from websockets.http11 import Request, Response
 except ImportError as error:
@@ -159,6 +160,20 @@ class PageServer(viser.ViserServer):
 def set_title(page: str, title: str, more: str = "") -> str:
     """Set the title of a page of viser, and add HTML to its head."""
     return page.replace("<title>Viser</title>", f"<title>{html.escape(title)}</title>{more}", 1)
+
+
+def copy_text(client: Any, text: str) -> None:
+    """Copy a text to the clipboard of a browser."""
+    source = f"navigator.clipboard.writeText({json.dumps(text)})"
+    client.gui._websock_interface.queue_message(RunJavascriptMessage(source=source))
+
+
+def save_text(client: Any, name: str, text: str) -> str:
+    """Let a browser save a text as a TOML file; return the name of the file."""
+    stem = re.sub(r"\W+", "_", name) or "mechanism"
+    file = f"{stem}.toml"
+    client.send_file_download(file, text.encode(), save_immediately=True)
+    return file
 
 
 def silence_action(action: Callable[[], Any]) -> Any:
