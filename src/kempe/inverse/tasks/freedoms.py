@@ -216,7 +216,12 @@ class Local:
         basis, independent = self._allowed_space
         if independent:
             return basis.shape[1]
-        return max((self._compute_dimension(d) for d in self.motions), default=0)
+        most = 0
+        for direction in self.motions:
+            most = max(most, self._compute_dimension(direction))
+            if most >= basis.shape[1]:
+                break  # no set of solutions has more than the freedoms to first order
+        return most
 
     def _compute_dimension(self, direction: Array) -> int:
         """Compute the dimension of the set of solutions beside q in a direction."""
