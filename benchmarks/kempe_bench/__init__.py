@@ -14,6 +14,7 @@ from rich.text import Text
 from kempe.errors import UnknownNameError
 from kempe_bench import (
     analytic,
+    clearances,
     cranks,
     forward,
     freedoms,
@@ -47,6 +48,8 @@ SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "numeric_limits": numeric.limits,
     "numeric_warm": numeric.warm,
     "servo": servo.stream,
+    "pushed": clearances.push,
+    "obstacles": clearances.reach,
     "redundant": redundant.paths_and_sets,
     "whole_body": whole.anywhere,
     "whole_body_near": whole.standing,

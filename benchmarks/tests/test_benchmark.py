@@ -9,7 +9,7 @@ import itertools
 import kempe_bench as benchmark
 import numpy as np
 import pytest
-from kempe_bench import forward, inverse, peers, redundant, timing, trees
+from kempe_bench import clearances, forward, inverse, peers, redundant, timing, trees
 from kempe_bench.bench import Bench
 
 import kempe
@@ -129,3 +129,13 @@ def test_sections_run(quick, monkeypatch, installed):
     assert tables[-1].value("Kempe", "20 calls: success") == 100.0
     page = benchmark.page(tables, wanted)
     assert page.count("\n## ") == len(tables) and f"kempe {kempe.__version__}" in page
+
+
+def test_sections_of_clearances_run(monkeypatch):
+    pytest.importorskip("coal")
+    monkeypatch.setattr(clearances, "STEPS", 5)
+    monkeypatch.setattr(clearances, "TARGETS", 2)
+    monkeypatch.setattr(clearances, "PATIENCE", 2)
+    pushed, reached = benchmark.benchmark(["pushed", "obstacles"], ["mink", "pin-pink"])
+    assert pushed.value("Kempe", "cycles nearer") == 0.0
+    assert reached.value("Kempe", "reached and clear") == 100.0
