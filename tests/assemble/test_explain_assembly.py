@@ -185,6 +185,16 @@ def test_too_many_known_values_are_said_to_be_too_many():
     )
 
 
+def test_a_position_has_more_numbers_than_a_mechanism_of_one_freedom():
+    s = kempe.load("four_bar")
+    assert "the position of 'coupler_point' (2 numbers) is given, but it has 1 freedom" in (
+        s.assemble({"coupler_point": [0.1, 0.2]}).status
+    )
+    assert "2 equations, but 1 freedom" in s.ik([0.1, 0.2], "coupler_point").status
+    both = s.assemble({"A": 0.5, "coupler_point": [0.1, 0.2]}).status
+    assert "1 coordinate and the position of 'coupler_point' (2 numbers) are given" in both
+
+
 def test_a_value_given_to_what_cannot_move_is_said_to_be_too_many():
     truss = kempe.read("four_bar").lock({"A": 1.0}).build()
     assert "1 coordinate is given, but the mechanism cannot move (0 freedoms)" in (

@@ -524,9 +524,20 @@ def test_none_found():
         system, {"S1": 1.0, "S2": 1.0, "S3": 1.0}, budget=kempe.Budget(starts=64)
     )
     assert not modes and not modes.complete
-    assert modes.status.startswith(
-        "none found, which proves nothing: of 64 starts none closed; not closed after"
-    )
+    assert modes.status.startswith("none found from 64 starts, without proof: the loop of joint")
+
+
+def test_modes_told_apart_by_a_frame_are_listed_by_its_poses():
+    """Not by the quaternions of all balls; in the plane by x, y and the angle."""
+    system = four_bar()
+    modes = assembly_modes(system, {"A": 0.8}, frame="coupler")
+    assert len(modes) == 2
+    for q in modes.q:
+        X = system.fk(q, "coupler")
+        angle = math.atan2(X[1, 0], X[0, 0])
+        row = f"x of 'coupler' = {X[0, 3]:.9g}, y = {X[1, 3]:.9g}, yaw = {angle:.9g}"
+        assert row in str(modes)
+    assert "C = " not in str(modes)
 
 
 def test_a_frame_can_be_known():

@@ -60,7 +60,7 @@ def test_inside_the_limits_first():
 @pytest.mark.slow
 def test_what_cannot_be_reached_is_empty():
     system = kempe.load("five_bar")
-    with pytest.raises(NoSolutionError, match="none found, which proves nothing") as error:
+    with pytest.raises(NoSolutionError, match="none found from .* without proof") as error:
         system.ik_all([9.0, 9.0], "tip").expect()
     assert not error.value.solution
 

@@ -290,9 +290,17 @@ def _explain_rank(
     return f"{said}{alone}"
 
 
-def _explain_excess_values(given: int, freedoms: int, what: str = "coordinate") -> str:
-    """Explain that more coordinates, or numbers of frames, are given than there are freedoms."""
-    said = f"{format_count(given, what)} {choose_verb(given, 'is', 'are')} given, but"
+def _explain_excess_values(
+    given: int, freedoms: int, frames: Sequence[str] = (), numbers: int = 0
+) -> str:
+    """Explain that more is given than the system has freedoms.
+
+    Given are coordinates, and positions of `frames`, which have so many `numbers` each.
+    """
+    parts = [format_count(given, "coordinate")] if given else []
+    parts += [f"the position of {name!r} ({numbers} numbers)" for name in frames]
+    verb = choose_verb(given + len(frames) * (1 + bool(given)), "is", "are")
+    said = f"{join_words(parts)} {verb} given, but"
     if not freedoms:
         return f"{said} the mechanism cannot move (0 freedoms)"
     return f"{said} it has {format_count(freedoms, 'freedom')}"

@@ -246,11 +246,21 @@ def _find_limit_evidence(bound: Assembler, q: Array) -> Evidence | None:
 
 
 def _find_excess_evidence(bound: Assembler) -> Evidence | None:
-    """Find out whether more coordinates are given than the closed system has freedoms."""
+    """Find out whether more is given than the closed system has freedoms.
+
+    Coordinates count, and the positions of frames.
+    """
     freedoms = get_assembler_as_given(find_ideal_system(bound.system)).freedoms
-    if not bound.held or not 0 <= freedoms < len(bound.held):
+    given = len(bound.held) + bound.system.dim * len(bound.frames)
+    if not 0 <= freedoms < given:
         return None
-    return make_evidence("too many given", given=len(bound.held), freedoms=freedoms)
+    return make_evidence(
+        "too many given",
+        given=len(bound.held),
+        freedoms=freedoms,
+        frames=list(bound.frames),
+        numbers=bound.system.dim,
+    )
 
 
 ROW = Row(describe_configuration, choose_solver)

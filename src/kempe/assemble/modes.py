@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -65,9 +66,9 @@ from kempe.numerics.clock import (
 )
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import ROWS, Table
-from kempe.spatial import Array
+from kempe.spatial import Array, xyz_rpy_from_pose
 from kempe.status import Status
-from kempe.words import choose_verb, format_count
+from kempe.words import Quantity, choose_verb, format_count
 
 if TYPE_CHECKING:
     from kempe.model.model import FrameLike, Model
@@ -764,6 +765,8 @@ class Modes(Configurations):
     late: bool = False
     left_out: int = 0
     """How many close the mechanism, but violate declared one-sided constraints."""
+    frame: str | None = None
+    """Frame whose poses distinguish the modes; None: the coordinates do."""
 
     @property
     def success(self) -> bool:
@@ -791,7 +794,12 @@ class Modes(Configurations):
         return list_known_tasks(self.system, self.known)
 
     def _make_tables(self) -> Sequence[Table]:
-        """Return a table of the coordinates that are not known, a row for each configuration."""
+        """Return a table of the coordinates that are not known, a row for each configuration.
+
+        With a `frame`, of its poses.
+        """
+        if self.frame is not None and len(self.q):
+            return [self._make_pose_table(self.frame)]
         names = self.system.coordinate_names
         places = [i for i, name in enumerate(names) if name not in self.known]
         rows = [
@@ -800,6 +808,22 @@ class Modes(Configurations):
         ]
         heads = ("", *(names[i] for i in places))
         return [Table(heads, rows, more=len(self.q) - len(rows))] if rows else []
+
+    def _make_pose_table(self, frame: str) -> Table:
+        """Make a table of the poses of a frame, a row for each configuration."""
+        unit = self.system.unit
+        heads = ["x", "y", "z", "roll", "pitch", "yaw"]
+        columns = [0, 1, 5] if self.system.dim == 2 else range(6)
+        poses = xyz_rpy_from_pose(fk(self.system, self.q[:ROWS], frame))
+        rows = [
+            (
+                self._label_configuration(k),
+                *(Quantity(float(pose[i]), unit if i < 3 else "rad") for i in columns),
+            )
+            for k, pose in enumerate(poses)
+        ]
+        names = ("", *(f"{heads[i]} of {frame!r}" if i == 0 else heads[i] for i in columns))
+        return Table(names, rows, more=len(self.q) - len(rows))
 
     def _label_configuration(self, k: int) -> str:
         """Return the name of a configuration in a text."""
@@ -944,7 +968,7 @@ def find_modes_by_dyads(problem: Problem) -> Modes:
             moving = f"{int((free > 0).sum())} of {format_count(len(q), 'configuration')}"
             status = f"not finite: {moving} can move with these inputs held; {them}"
         elif not len(q):
-            status = f"none found, which proves nothing: {them}"
+            status = f"none found, without proof: {them}"
     if new:
         status += f"; {format_count(new, 'configuration')} found by least squares"
     if any(len(g) > 1 for g in groups):
@@ -1066,10 +1090,8 @@ def find_modes_by_starts(problem: Problem) -> Modes:
         status += "; one is missing at least, since their number is even"
     if not closed:
         why = assemble(system, problem.known, start=problem.start).status
-        status = (
-            f"none found, which proves nothing: of {format_count(found.tried, 'start')} none "
-            f"closed; {why}"
-        )
+        why = re.sub(r"^not closed after \d+ starts?: ", "", why)
+        status = f"none found from {format_count(found.tried, 'start')}, without proof: {why}"
     if len(families):
         besides = (
             f"besides {format_count(len(isolated), 'isolated configuration')}, "
@@ -1169,6 +1191,7 @@ def _make_answer(
         dict(problem.known),
         *guess,
         left_out=left_out,
+        frame=problem.frame,
     )
 
 

@@ -24,6 +24,8 @@ from kempe.answers.evidence import (
 )
 from kempe.answers.problem import Choice, Problem, select_solver
 from kempe.answers.wording import describe_immovable_coordinates
+from kempe.assemble.bound import get_assembler_as_given
+from kempe.assemble.nearest_exact import find_ideal_system
 from kempe.inverse.answer import Reached, SolutionRow
 from kempe.inverse.explain import suggest_tolerance
 from kempe.inverse.numeric import SOLVERS
@@ -283,6 +285,10 @@ def _prove_overdetermined(problem: Demands, q: Array, tasks: list[int]) -> Evide
     if problem.system.nv > MOST_COORDINATES:
         return None
     equations, freedoms = analyse_freedoms(problem.select_tasks(tasks), q)[:2]
+    if problem.system.structure.closures:
+        # the tasks open the loops where they are missed, and ranks are not clear there
+        home = get_assembler_as_given(find_ideal_system(problem.system)).freedoms
+        freedoms = min(freedoms, home) if home >= 0 else freedoms
     return (
         make_evidence("rank", equations=equations, freedoms=freedoms)
         if freedoms < equations
