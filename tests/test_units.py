@@ -228,3 +228,28 @@ def test_both_units_say_the_same(name):
     for one, two in zip(metres, say(convert_unit(make(), "mm").build(), 1e3), strict=True):
         first, second = (list(map(mask_numbers, list_answer_texts(x))) for x in (one, two))
         assert first == second
+
+
+def list_picture_texts(ax):
+    """List the texts of a picture: labels of axes, titles, dimensions, keys."""
+    from matplotlib.text import Text
+
+    return [t.get_text() for t in np.ravel(ax)[0].figure.findobj(Text)]
+
+
+def test_pictures_name_the_unit():
+    pytest.importorskip("matplotlib").use("Agg")
+    system = convert_unit(make_slider_crank(), "mm").build()
+    q = system.assemble({"crank": 0.5}, start={"stroke": 150.0}).q
+    path = system.trace("crank", start=q)
+    drawn = list_picture_texts(system.plot(q, dimensions=True, labels="all"))
+    assert {"40 mm", "120 mm", "  20 mm"} <= set(drawn)
+    assert {"x [mm]", "y [mm]"} <= set(list_picture_texts(path.plot()))
+    curves = list_picture_texts(path.plot_curve())
+    assert "angles [rad], slides [mm]" in curves
+    arm = convert_unit(make_arm(), "mm").build()
+    spatial = list_picture_texts(arm.plot(arm.mid))
+    assert {"x [mm]", "y [mm]", "z [mm]"} <= set(spatial)
+    cells = list_picture_texts(arm.workspace("tip", n=1000).plot())
+    for texts in (drawn, curves, spatial, cells):
+        assert not [text for text in texts if METRES.search(text)]
