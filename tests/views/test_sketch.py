@@ -15,11 +15,13 @@ from kempe.errors import InputError
 from kempe.views.sketch.dimensions import set_distance
 from kempe.views.sketch.mechanism import (
     compute_motion,
+    describe_motion,
     examine_sketch,
     make_mechanism,
     write_python,
     write_sketch_toml,
 )
+from kempe.views.sketch.picture import draw_faces, place_labels, triangulate
 from kempe.views.sketch.sketch import GROUND, History, Sketch, snap_point
 
 
@@ -102,6 +104,54 @@ def test_a_slider_may_be_the_crank():
     motion = compute_motion(examine_sketch(sketch))
     assert make_mechanism(sketch).joints["slide of C"].actuated
     assert np.ptp(motion.compute_places("B") @ [1, 0]) == pytest.approx(0.2, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("sketch", "said"),
+    [
+        (draw_four_bar(), "The crank turns fully. Curve of E."),
+        (draw_four_bar().set_crank("D"), "The crank swings to and fro. Curve of E."),
+        (draw_slider_crank(), "The crank turns fully. Curves of B and C."),
+        (draw_slider_crank().set_crank("C"), "The slider moves to and fro. Curves of B and C."),
+    ],
+)
+def test_motions_are_described(sketch, said):
+    assert describe_motion(compute_motion(examine_sketch(sketch))) == said
+
+
+# ---- what is drawn
+
+
+@pytest.mark.parametrize("sketch", [draw_four_bar(), draw_slider_crank().set_crank("C")])
+def test_names_stand_beside_what_is_drawn(sketch):
+    """No name is on a bar, a pin, a block, a symbol or an arrow, or near another name."""
+    r = 0.01
+    names = place_labels(sketch, r)
+    assert [name.text for name in names] == [*sketch.pins]
+    faces = [face for each in draw_faces(sketch, r).values() for face in each]
+    for name in names:
+        for face in faces:
+            sides = np.roll(face.corners, -1, axis=0) - face.corners
+            u, v = (name.at - face.corners).T
+            turned = sides[:, 0] * v - sides[:, 1] * u
+            assert turned.max() > 0 > turned.min()
+    for a, b in itertools.combinations(names, 2):
+        assert np.linalg.norm(a.at - b.at) > 4 * r
+
+
+def test_all_that_is_drawn_faces_the_camera():
+    """Triangles turn to the left, lie in their layers, and have the area of their faces."""
+    for faces in draw_faces(draw_slider_crank(), 0.01, ["AB", "C"]).values():
+        corners, colours = triangulate(faces, 0.01)
+        a, b, c = corners.reshape(-1, 3, 3).swapaxes(0, 1)
+        areas = 0.5 * np.cross(b - a, c - a)
+        assert areas[:, 2].min() > -1e-12 and len(colours) == len(corners)
+        u, v = zip(*((f.corners, np.roll(f.corners, -1, axis=0)) for f in faces), strict=True)
+        own = sum(
+            abs(0.5 * (p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum())
+            for p, q in zip(u, v, strict=True)
+        )
+        assert areas[:, 2].sum() == pytest.approx(own, rel=1e-9)
 
 
 # ---- what is said at each state

@@ -318,3 +318,14 @@ def compute_motion(findings: Findings) -> Motion:
             "another one."
         )
     return Motion(sketch, path, system.body_names, fk(system, path.resample(FRAMES).q))
+
+
+def describe_motion(motion: Motion) -> str:
+    """Describe a motion: how the crank or the slider moves, and whose curves are drawn."""
+    crank = motion.sketch.crank
+    how = "The slider moves to and fro."
+    if crank is not None and crank.bar:
+        whole = motion.path.turns.get(name_driver(motion.sketch), 0)
+        how = "The crank turns fully." if whole else "The crank swings to and fro."
+    curves = f"{make_plural(len(motion.traced), 'curve').capitalize()} of"
+    return f"{how} {curves} {join_words(motion.traced)}." if motion.traced else how

@@ -29,6 +29,8 @@ ARROW = 3.4
 """Radius of the arrow about the pin of the crank."""
 AWAY = 3.3
 """Distance of a name from its pin."""
+FARTHER = 4.4
+"""The same for a pin in a block, beyond the arrow of a driven one."""
 WAYS = 16
 """Directions from a pin in which its name may stand."""
 CHOSEN = "#f2b134"
@@ -203,7 +205,8 @@ def place_labels(sketch: Sketch, r: float, lengths: bool = False) -> list[Label]
     for pin, at in sketch.pins.items():
         bodies = list_bodies_of(sketch, pin)
         way = _find_free_direction(sketch, pin)
-        place = np.array(at) + AWAY * r * np.array([math.cos(way), math.sin(way)])
+        far = (FARTHER if pin in sketch.sliders else AWAY) * r
+        place = np.array(at) + far * np.array([math.cos(way), math.sin(way)])
         out.append(Label(bodies[0] if bodies else GROUND, place, pin))
     for bar, pins in sketch.bars.items() if lengths else ():
         sides = list(itertools.combinations(pins, 2)) if len(pins) <= 3 else [pins[:2]]

@@ -22,6 +22,7 @@ from kempe.views.sketch.mechanism import (
     Findings,
     Motion,
     compute_motion,
+    describe_motion,
     examine_sketch,
     name_driver,
     write_python,
@@ -42,7 +43,6 @@ from kempe.views.viewer.live import (
 )
 from kempe.views.viewer.scene_nodes import OPENING, UPWARDS, split_poses, write_glb
 from kempe.views.viewer.server import PageServer, copy_text, save_text, silence_action
-from kempe.words import join_words, make_plural
 
 CELL = 0.1
 """Distance of the lines of the grid at first [m]."""
@@ -693,7 +693,7 @@ class BoardPage:
                     thickness_units="screen",
                 )
             )
-        self.said = _describe_motion(motion)
+        self.said = describe_motion(motion)
         self.playing = True
         self.player = threading.Thread(target=self._play_motion, args=(motion,), daemon=True)
         self.player.start()
@@ -757,16 +757,6 @@ def _turn_slider(sketch: Sketch, pin: str, degrees: float) -> Sketch:
 def _read_degrees(sketch: Sketch, pin: str) -> float:
     """Read the direction of the line on which a pin slides [deg]."""
     return float(np.rad2deg(sketch.sliders[pin].angle))
-
-
-def _describe_motion(motion: Motion) -> str:
-    """Describe a motion: the crank turns fully, or between two ends; which curves are drawn."""
-    whole = any(motion.path.turns.values())
-    how = "The crank turns fully." if whole else "The crank moves to and fro."
-    curves = (
-        f"{make_plural(len(motion.traced), 'curve').capitalize()} of {join_words(motion.traced)}"
-    )
-    return f"{how} {curves}." if motion.traced else how
 
 
 class Board:
