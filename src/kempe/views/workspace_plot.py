@@ -16,7 +16,7 @@ from matplotlib.ticker import MaxNLocator
 from kempe.arguments import numbers
 from kempe.errors import InputError, UnsupportedError
 from kempe.spatial import Array
-from kempe.units import name_lengths
+from kempe.units import METRE
 from kempe.views.drawing import page, shapes, space, style
 from kempe.views.plots import plot
 
@@ -152,8 +152,8 @@ def _draw_outline(exact: Any, ax: Axes, axes: tuple[int, int], here: float) -> N
 
 def _format_unit(workspace: Workspace, axis: str) -> str:
     """Return the unit of an axis with a blank before it; '' for heights."""
-    said = "" if axis == "height" else f" {workspace.map.unit}"
-    return name_lengths(said, workspace.system.unit)
+    unit = workspace.map.unit
+    return "" if axis == "height" else f" {workspace.system.unit if unit == METRE else unit}"
 
 
 def _add_outer_cells(middles: Array, size: float) -> Array:
