@@ -20,20 +20,24 @@ from kempe.assemble.generic_configurations import (
     find_closed_configuration,
     sample_useful_ranks,
 )
+from kempe.constraints.base import make_rotations_along
 from kempe.first_order.control import find_driven_velocities
 from kempe.first_order.idle_freedoms import IdleFreedom, find_idle_freedoms
 from kempe.first_order.rank import compute_rank
 from kempe.forward.fk import jacobian, query
+from kempe.kernels.constraints.loop_layout import CROSS
 from kempe.model.ball_angles import make_regular_chart
 from kempe.model.configurations import has_loops
+from kempe.model.constraint_program import Tie
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.directions import spread_directions
-from kempe.spatial import Array, unit
+from kempe.spatial import Array, pose, unit
 
 if TYPE_CHECKING:
     from kempe.equations.closure import Closure
     from kempe.model.model import Model
+    from kempe.model.primitive_table import Table
 
 STEEP = 0.2
 """Sine of the angle between line and direction in the ground below which a direction farther away
@@ -110,57 +114,55 @@ def compute_idle_rates(system: Model, q: Array) -> Array:
 
 
 class SpinLock:
-    """Equations that hold idle spins, one for each: ``ground . (R along) = 0``.
+    """Ties that hold idle spins, one for each: ``ground . (R along) = 0``.
 
     `ground` (k, 3) are directions in the ground, `along` (k, 3) directions in the bodies, both
     perpendicular to the lines at the configuration where they were chosen.
     """
 
     def __init__(self, system: Model, spins: Sequence[IdleFreedom], q: Array):
-        self._queries = [query(system, f.bodies[0]) for f in spins]
+        self._bodies = [f.bodies[0] for f in spins]
+        self._queries = [query(system, body) for body in self._bodies]
         self._axes = [f.in_body[1] for f in spins]
         self._q = q
         self._seen = self.compute_lines(q[None])
         self._set_directions(_compute_perpendiculars(self._seen[0]))
 
-    @property
-    def count(self) -> int:
-        """Number of spins that are held."""
-        return len(self._axes)
-
     def compute_lines(self, q: Array) -> Array:
         """Compute the directions (n, k, 3) of the lines in the ground at configurations (n, nq)."""
         pairs = zip(self._queries, self._axes, strict=True)
-        return np.stack([pose(q)[:, :3, :3] @ axis for pose, axis in pairs], axis=1)
+        return np.stack([compute_pose(q)[:, :3, :3] @ axis for compute_pose, axis in pairs], axis=1)
 
     def _set_directions(self, ground: Array) -> None:
         """Set the directions in the ground by which spins are held at the first configuration."""
         self.ground = ground
         across = unit(np.cross(ground, self.compute_lines(self._q[None])[0]))
         pairs = zip(self._queries, across, strict=True)
-        self.along = np.array([pose(self._q)[:3, :3].T @ v for pose, v in pairs])
+        self.along = np.array([compute_pose(self._q)[:3, :3].T @ v for compute_pose, v in pairs])
 
-    def write_equations(
-        self, equations: Closure, x: Array, F: Array, J: Array, at: int, with_matrix: bool
-    ) -> None:
-        """Write the residuals of these equations and their derivatives into F and J (., n) from row
-        `at` on.
-        """
-        for i, pose in enumerate(self._queries):
-            along = pose(x)[:3, :3] @ self.along[i]
-            F[at + i] = self.ground[i] @ along
-            if with_matrix:
-                J[at + i] = np.cross(along, self.ground[i]) @ pose.jacobian(x)[3:] * equations.unit
+    def list_ties(self, table: Table) -> list[Tie]:
+        """List the ties that hold the spins: x in the ground is normal to y in the body."""
+        ties: list[Tie] = []
+        ground = pose(make_rotations_along(self.ground, 3)[..., [2, 0, 1]])
+        turned = pose(make_rotations_along(self.along, 3)[..., [1, 2, 0]])
+        for body, A, B in zip(self._bodies, ground, turned, strict=True):
+            row, X, particle = table.at[body]
+            a = (-1, A, False)
+            b = (row, X @ B, particle)
+            ties.append(Tie(f"spin of {body}", a, b, turns=CROSS))
+        return ties
 
-    def update_directions(self, q: Array) -> None:
+    def update_directions(self, q: Array) -> bool:
         """Choose directions in the ground that are far from the lines at a configuration (nq,).
 
-        The spins are held as they are there.
+        True is returned if others were needed: then the spins are held as they are there.
         """
         lines = self.compute_lines(q[None])[0]
-        if np.any(_compute_sines(self.ground, lines) < 2.0 * STEEP):
+        changed = bool(np.any(_compute_sines(self.ground, lines) < 2.0 * STEEP))
+        if changed:
             self._q = q
             self._set_directions(_compute_perpendiculars(lines))
+        return changed
 
     def replace_near_directions(self, q: Array) -> bool:
         """Replace directions in the ground that lines come near to at configurations (n, nq).
@@ -170,7 +172,7 @@ class SpinLock:
         self._seen = np.concatenate([self._seen, self.compute_lines(q)])
         ground = self.ground.copy()
         directions = spread_directions(DIRECTIONS)
-        for i in range(self.count):
+        for i in range(len(self._axes)):
             least = _compute_sines(ground[i], self._seen[:, i]).min()
             if least < STEEP:
                 away = _compute_sines(directions[:, None], self._seen[None, :, i]).min(axis=1)
@@ -185,7 +187,7 @@ class SpinLock:
 
 def find_spin_lock(equations: Closure) -> SpinLock | None:
     """Return the lock of idle spins among equations, or None where there is none."""
-    return next((m for m in equations.more if isinstance(m, SpinLock)), None)
+    return equations.lock if isinstance(equations.lock, SpinLock) else None
 
 
 def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
@@ -196,7 +198,7 @@ def lock_spins(equations: Closure, q: Array, requested: Iterable[int]) -> bool:
     keep = [*equations.held, *requested]
     spins = [f for f in get_idle_freedoms(equations.tree, q) if not f.moving_velocities[keep].any()]
     if spins and find_spin_lock(equations) is None:
-        equations.add_equations(SpinLock(equations.tree, spins, q))
+        equations.set_lock(SpinLock(equations.tree, spins, q))
     return bool(spins)
 
 

@@ -17,6 +17,7 @@ from kempe.equations import closure_rows
 from kempe.kernels.compiled import curve_steps
 from kempe.model.characteristic_length import choose_origin
 from kempe.model.own_tree import remove_cut_marks
+from kempe.model.packed_loops import PackedLoops, pack_loops
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.curves import (
     ACROSS,
@@ -33,7 +34,9 @@ from kempe.numerics.newton import LAST, NOTHING, run_gauss_newton
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.model.constraint_program import Tie
     from kempe.model.model import Model
+    from kempe.model.primitive_table import Table
 
 LEAST = 0.1
 """What the largest singular value counts as at least: equations are scaled, and where all vanish it
@@ -44,8 +47,16 @@ ANGLES = ("rx", "ry", "rz", "x.y")
 """Names of equations that are angles."""
 
 
+class Lock(Protocol):
+    """Protocol of what holds bodies besides the joints and constraints of a system."""
+
+    def list_ties(self, table: Table) -> list[Tie]:
+        """List the ties that hold them, over the rows of the `table`."""
+        ...
+
+
 class Further(Protocol):
-    """Protocol of equations that a curve has besides the loop closures."""
+    """Protocol of equations that a curve has besides those of loops and coordinates."""
 
     @property
     def count(self) -> int:
@@ -92,20 +103,34 @@ class Closure(Curve):
         self.place = np.full(system.nv, -1, dtype=np.int64)
         self.place[layout.vector_v] = layout.vector_q
         self.n = system.nv
-        index = {n: i for i, n in enumerate(system.structure.velocity_names)}
+        self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
+        self.closed = CLOSED
+        self.budget = TimeLimit(None)
+        self.more: tuple[Further, ...] = ()
+        self.set_lock(None)
+
+    def set_lock(self, lock: Lock | None) -> None:
+        """Hold bodies by a lock, as it is now, in place of the one before."""
+        self.lock = lock
+        tree = self.tree
+        self.loops: PackedLoops = (
+            closure_rows.pack_full_loops(tree, False)
+            if lock is None
+            else pack_loops(
+                tree, frozenset(tree.structure.closures), length=1.0, further=lock.list_ties
+            )
+        )
+        length = closure_rows.compute_characteristic_length(self.system)
+        index = {n: i for i, n in enumerate(self.system.structure.velocity_names)}
         self.weight = np.array(
             [
                 1.0
                 if row in ANGLES or (tie.unscaled and tie.relation is None)
                 else 1.0 / (length if tie.relation is None else self.unit[index[tie.relation.of]])
-                for tie in closure_rows.pack_full_loops(self.tree, False).ties
+                for tie in self.loops.ties
                 for row in tie.row_names
             ]
         )
-        self.targets = np.zeros(0) if at is None else at[self.place[self._held]]
-        self.closed = CLOSED
-        self.budget = TimeLimit(None)
-        self.more: tuple[Further, ...] = ()
         self._count_rows()
 
     def _count_rows(self) -> None:
@@ -152,12 +177,16 @@ class Closure(Curve):
             self._write_further_equations(x, F, J, with_matrix, further)
         return F, J
 
+    def _evaluate_ties(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
+        """Compute residuals (..., m) and Jacobian (..., m, n) of loops and lock, in metres."""
+        return closure_rows.evaluate_constraints(self.tree, x, with_matrix, loops=self.loops)
+
     def evaluate_loops(self, x: Array, with_matrix: bool = True) -> tuple[Array, Array]:
         """Compute residuals (m,) and Jacobian (m, n) of the loop closures alone at the point `x`.
 
         The Jacobian is empty without `with_matrix`.
         """
-        values, columns = closure_rows.evaluate_constraints(self.tree, x, with_matrix)
+        values, columns = self._evaluate_ties(x, with_matrix)
         if with_matrix:  # in place: the matrix of a long chain is most of the memory
             columns *= self.weight[:, None]
             columns *= self.unit
@@ -169,8 +198,8 @@ class Closure(Curve):
         Rows and columns (k,) of its entries that are not zero by structure come with it: of a long
         chain a pass over all entries takes far longer.
         """
-        values, columns = closure_rows.evaluate_constraints(self.tree, x)
-        i, j = closure_rows.pack_full_loops(self.tree, False).places
+        values, columns = self._evaluate_ties(x)
+        i, j = self.loops.places
         columns[i, j] *= self.weight[i] * self.unit[j]
         return self.weight * values, columns, i, j
 
@@ -185,7 +214,7 @@ class Closure(Curve):
         F = np.zeros((k, self.rows))
         J = np.zeros((k, self.rows if with_matrix else 0, self.n))
         if m:
-            values, columns = closure_rows.evaluate_constraints(self.tree, x, with_matrix)
+            values, columns = self._evaluate_ties(x, with_matrix)
             F[:, :m] = self.weight * values
             if with_matrix:
                 J[:, :m] = self.weight[:, None] * columns * self.unit
@@ -216,7 +245,7 @@ class Closure(Curve):
     @cached_property
     def plain(self) -> bool:
         """Whether a point is a configuration, and no equation a Python function."""
-        return not closure_rows.pack_full_loops(self.tree, False).functions
+        return not self.loops.functions
 
     def follow_regular_curve(
         self, x: Array, t: Array, h: float, longest: float, count: int
@@ -227,7 +256,7 @@ class Closure(Curve):
         points. Returned are points (k, nq), tangents (k, n), and after each the length (k,) of the
         next step. A step of length 0 leads x to the curve, in the plane across t.
         """
-        loops = closure_rows.pack_full_loops(self.tree, False)
+        loops = self.loops
         points = np.empty((count, self.system.nq))
         tangents = np.empty((count, self.n))
         lengths = np.empty(count)

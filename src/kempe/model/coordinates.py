@@ -6,8 +6,10 @@ Couplings and locks decide this; limits are brought back to the coordinates in `
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,6 +23,7 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Coupling, Joint
 from kempe.errors import UnknownNameError
 from kempe.joints import P, Primitive, Q, R
+from kempe.kernels.compiled import configuration_steps
 from kempe.values import Expression, evaluate_value
 
 # ---- the layout of q
@@ -52,41 +55,40 @@ class Layout:
         q.setflags(write=False)
         return q
 
-    def _select_quaternions(self, q: spatial.Array) -> spatial.Array:
-        """Return the quaternions (..., n, 4) of configurations (..., nq)."""
-        return q[..., self.quaternion_q[:, None] + np.arange(4)]
-
     def integrate_velocity(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
         """Return the configuration (..., nq) after 1 s from `q` at the velocity `v` (..., nv)."""
-        q = read_reals(q, "q")
-        v = read_reals(v, "v")
-        out = np.array(
-            np.broadcast_to(q, (*np.broadcast_shapes(q.shape[:-1], v.shape[:-1]), self.nq))
-        )
-        out[..., self.vector_q] += v[..., self.vector_v]
-        if self.quaternion_q.size:
-            w = v[..., self.quaternion_v[:, None] + np.arange(3)]
-            turned = spatial.quat_wxyz_multiply(
-                spatial.unit(self._select_quaternions(q)), spatial.quat_wxyz_exp(w)
-            )
-            out[..., self.quaternion_q[:, None] + np.arange(4)] = spatial.unit(turned)
-        return out
+        return self._call_kernel(configuration_steps.integrate_velocities, q, "q", v, "v", self.nq)
 
     def compute_difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
         """Compute the tangent vector (..., nv) that `integrate_velocity` needs from `q0` to `q1`.
 
         Rotations go the short way.
         """
-        q0 = read_reals(q0, "q0")
-        q1 = read_reals(q1, "q1")
-        out = np.zeros((*np.broadcast_shapes(q0.shape[:-1], q1.shape[:-1]), self.nv))
-        out[..., self.vector_v] = q1[..., self.vector_q] - q0[..., self.vector_q]
-        if self.quaternion_q.size:
-            a = spatial.unit(self._select_quaternions(q0))
-            b = spatial.unit(self._select_quaternions(q1))
-            w = spatial.quat_wxyz_log(spatial.quat_wxyz_multiply(spatial.quat_wxyz_conjugate(a), b))
-            out[..., self.quaternion_v[:, None] + np.arange(3)] = w
-        return out
+        kernel = configuration_steps.compute_differences
+        return self._call_kernel(kernel, q0, "q0", q1, "q1", self.nv)
+
+    def _call_kernel(
+        self, kernel: Callable[..., Any], a: Any, a_name: str, b: Any, b_name: str, size: int
+    ) -> spatial.Array:
+        """Call a kernel with all pairs of rows of two arrays; its rows (..., size)."""
+        a = read_reals(a, a_name)
+        b = read_reals(b, b_name)
+        if a.ndim == b.ndim == 1:  # without what broadcasting takes
+            out = np.empty((1, size))
+            kernel(*self._places, np.ascontiguousarray(a)[None], np.ascontiguousarray(b)[None], out)
+            return out[0]
+        lead = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+        rows = [
+            np.ascontiguousarray(np.broadcast_to(x, (*lead, x.shape[-1]))).reshape(-1, x.shape[-1])
+            for x in (a, b)
+        ]
+        out = np.empty((len(rows[0]), size))
+        kernel(*self._places, *rows, out)
+        return out.reshape(*lead, size)
+
+    @cached_property
+    def _places(self) -> tuple[np.ndarray, ...]:
+        return self.vector_q, self.vector_v, self.quaternion_q, self.quaternion_v
 
     def randomize_quaternions(
         self, q: spatial.Array, rng: np.random.Generator, order: np.ndarray | None = None
@@ -103,9 +105,10 @@ def make_layout(primitives: list[tuple[int, int, int]], nq: int, nv: int) -> Lay
     balls = [(iq, iv) for kind, iq, iv in primitives if kind == Q]
     vector = np.array(vectors, dtype=np.int64).reshape(-1, 2)
     ball = np.array(balls, dtype=np.int64).reshape(-1, 2)
-    for array in (vector, ball):
+    places = [np.ascontiguousarray(column) for array in (vector, ball) for column in array.T]
+    for array in places:
         array.setflags(write=False)
-    return Layout(nq, nv, vector[:, 0], vector[:, 1], ball[:, 0], ball[:, 1])
+    return Layout(nq, nv, *places)
 
 
 # ---- coordinates, couplings and limits

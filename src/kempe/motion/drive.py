@@ -285,8 +285,8 @@ class SegmentContext:
         Idle spins are held, and so is the rank where it is low all along.
         """
         lock = find_spin_lock(self.closure)
-        if lock is not None:
-            lock.update_directions(state.q)
+        if lock is not None and lock.update_directions(state.q):
+            self.closure.set_lock(lock)
         way, here = self._make_equations(state, direction)
         # what moves may be but a spin
         loose = here.nullity > 1 or (here.nullity == 1 and abs(here.t[-1]) < FORWARD)
@@ -411,11 +411,7 @@ class RegularSteps:
         self.equations = len(closure.weight)
         bounds = context.limits.all
         self.bounds = [b for b in bounds if isinstance(b, CoordinateBound)]
-        self.possible = (
-            not closure.more
-            and len(self.bounds) == len(bounds)
-            and 0 < len(self.free) <= self.equations
-        )
+        self.possible = len(self.bounds) == len(bounds) and 0 < len(self.free) <= self.equations
         self.places = closure.place[context.index]
         self.count = FIRST_SAMPLES
         self.patience = Patience()
@@ -437,7 +433,9 @@ class RegularSteps:
 
     def choose_sample_count(self) -> int:
         """Choose how many samples are tried at once; 0 where the next one is left to single steps."""
-        if not self.patience.count_step() or not self.possible or self.closure.more:
+        closure = self.closure
+        plain = self.possible and closure.lock is None and not closure.more
+        if not self.patience.count_step() or not plain:
             return 0
         size = self.equations * self.closure.n
         return max(1, min(self.count, MOST_STEPS, MOST_ENTRIES // size))

@@ -353,7 +353,7 @@ def _follow_path(
             or not lock.replace_near_directions(path.q)
         ):
             break
-        # by other directions, what spins turns less
+        equations.set_lock(lock)  # by other directions, what spins turns less
         first = find_first_node(equations, q, options.driver, toward) or first
         path = _trace_branch(equations, first, options)
     if is_rank_held(equations):
