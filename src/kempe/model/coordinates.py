@@ -6,7 +6,6 @@ Couplings and locks decide this; limits are brought back to the coordinates in `
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -23,7 +22,6 @@ from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Coupling, Joint
 from kempe.errors import UnknownNameError
 from kempe.joints import P, Primitive, Q, R
-from kempe.kernels.compiled import configuration_steps
 from kempe.values import Expression, evaluate_value
 
 # ---- the layout of q
@@ -57,20 +55,22 @@ class Layout:
 
     def integrate_velocity(self, q: ArrayLike, v: ArrayLike) -> spatial.Array:
         """Return the configuration (..., nq) after 1 s from `q` at the velocity `v` (..., nv)."""
-        return self._call_kernel(configuration_steps.integrate_velocities, q, "q", v, "v", self.nq)
+        return self._call_kernel("integrate_velocities", q, "q", v, "v", self.nq)
 
     def compute_difference(self, q0: ArrayLike, q1: ArrayLike) -> spatial.Array:
         """Compute the tangent vector (..., nv) that `integrate_velocity` needs from `q0` to `q1`.
 
         Rotations go the short way.
         """
-        kernel = configuration_steps.compute_differences
-        return self._call_kernel(kernel, q0, "q0", q1, "q1", self.nv)
+        return self._call_kernel("compute_differences", q0, "q0", q1, "q1", self.nv)
 
     def _call_kernel(
-        self, kernel: Callable[..., Any], a: Any, a_name: str, b: Any, b_name: str, size: int
+        self, name: str, a: Any, a_name: str, b: Any, b_name: str, size: int
     ) -> spatial.Array:
         """Call a kernel with all pairs of rows of two arrays; its rows (..., size)."""
+        from kempe.kernels.compiled import configuration_steps  # describing needs no kernels
+
+        kernel = getattr(configuration_steps, name)
         a = read_reals(a, a_name)
         b = read_reals(b, b_name)
         if a.ndim == b.ndim == 1:  # without what broadcasting takes

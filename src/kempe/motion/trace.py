@@ -54,6 +54,7 @@ from kempe.numerics.curves import (
     Node,
     compute_bend_angle,
     estimate_arc_length,
+    estimate_arc_lengths,
     find_next_node,
     make_node,
 )
@@ -548,17 +549,8 @@ def _make_path(
 
 def _compute_lengths(equations: Closure, nodes: list[Node]) -> Array:
     """Compute the arc lengths (n,) of nodes."""
-    return np.concatenate(
-        [
-            [0.0],
-            np.cumsum(
-                [
-                    estimate_arc_length(equations, a, b)
-                    for a, b in zip(nodes, nodes[1:], strict=False)
-                ]
-            ),
-        ]
-    )
+    x = np.array([n.x for n in nodes])
+    return estimate_arc_lengths(equations, x, np.array([n.t for n in nodes]))
 
 
 def _list_singular_events(equations: Closure, nodes: list[Node], s: Array) -> tuple[Event, ...]:

@@ -279,3 +279,13 @@ def estimate_arc_length(equations: Curve, a: Node, b: Node) -> float:
     return float(np.linalg.norm(equations.compute_difference(a.x, b.x))) * (
         1.0 + compute_bend_angle(a, b) ** 2 / 24.0
     )
+
+
+def estimate_arc_lengths(equations: Curve, x: Array, t: Array) -> Array:
+    """Estimate the arc lengths (k,) up to each of the points x (k, ...), as `estimate_arc_length` does.
+
+    `t` (k, n) are their tangents.
+    """
+    chords = np.linalg.norm(equations.compute_difference(x[:-1], x[1:]), axis=-1)
+    bends = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(np.diff(t, axis=0), axis=-1)))
+    return np.append(0.0, np.cumsum(chords * (1.0 + bends**2 / 24.0)))
