@@ -103,6 +103,18 @@ def explain_open_freedoms(
     return f"{said}, {home} at home: singular here, or on another branch" if home >= 0 else said
 
 
+def describe_fold(folded: Sequence[tuple[str, str]]) -> str:
+    """Describe that pins coincide, so that a mechanism may have more freedoms here than elsewhere."""
+    pins = join_first_words([f"{a} and {b}" for a, b in folded], 3)
+    return f"; it is folded here, where {pins} coincide: ask at another position, too"
+
+
+def suggest_near_mechanism(nearest: str, freedoms: int) -> str:
+    """Suggest the mechanism nearest to one that cannot move."""
+    moves = f"with changes {nearest} it closes with {format_count(freedoms, 'freedom')}"
+    return f"; {moves}: give a larger tolerance"
+
+
 def describe_remaining_freedoms(
     first: int, finite: int, equations: int = 0, freedoms: int = 0
 ) -> str:

@@ -124,13 +124,13 @@ def _describe_freedoms(bound: Assembler, q: Array) -> str:
         somewhere = sample_configurations(system, np.random.default_rng(0))
         count = closure_rows.count_remaining_freedoms(system, somewhere, bound.held)
         who = "in general"
-    folded = _find_coinciding_joints(system, q) if count < left else []
+    folded = find_coinciding_joints(system, q) if count < left else []
     return wording.explain_open_freedoms(
         left, count, who, folded, sure, bound.freedoms if bound.freedoms < left else -1
     )
 
 
-def _find_coinciding_joints(system: Model, q: Array) -> list[tuple[str, str]]:
+def find_coinciding_joints(system: Model, q: Array) -> list[tuple[str, str]]:
     """Find pairs of joints that coincide here though no body connects them at that point."""
     joints = [*system.mechanism.joints.values()]
     number = {b: i for i, b in enumerate(system.body_names)}

@@ -280,7 +280,13 @@ def find_nearest_exact(
     time = TimeLimit(LONG) if own else time
     try:
         with time:
-            return store_answer(answers, key, _search_nearest(system, most, time=time))
+            nearest = _search_nearest(system, most, time=time)
+            if nearest is None and tolerance not in (None, MEASURED):
+                # a search has room only well within its tolerance
+                wider = find_nearest_exact(system, MEASURED, time)
+                if wider is not None and wider.tolerance <= most:
+                    nearest = replace(wider, requested=most)
+            return store_answer(answers, key, nearest)
     except TimeUp:
         if own:
             raise TimeLimitError(

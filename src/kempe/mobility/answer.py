@@ -82,7 +82,7 @@ def describe_mobility(m: Mobility) -> str:
     least = "" if m.within is None else f" {m.within.least}"
     exactly = "" if m.within is None else f"; {m.within.exactly}"
     freedoms = f"{sure}{format_count(m.dof, 'degree')} of freedom{order}{least}"
-    return f"{freedoms} ({'; '.join([count, *why])}){rank}{exactly}"
+    return f"{freedoms} ({'; '.join([count, *why])}){rank}{exactly}{m.hint}"
 
 
 def _describe_false_freedoms(rank: int, false: int, nearby: bool) -> str:
@@ -452,6 +452,8 @@ class Mobility(Report):
     """Whether the time limit came before the true number was known."""
     searched: bool = False
     """Whether no configuration was given."""
+    hint: str = ""
+    """What may have been meant: joints that coincide at `q`, or a mechanism nearby that moves."""
 
     @property
     def name(self) -> str:

@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from kempe.answers import wording
 from kempe.arguments import explain_errors, make_generator
+from kempe.assemble.explain import find_coinciding_joints
 from kempe.assemble.generic_configurations import (
     NearestClosed,
     close_configuration,
     find_closed_configuration,
     sample_useful_ranks,
 )
-from kempe.assemble.nearest_exact import answer_within_tolerance
+from kempe.assemble.nearest_exact import answer_within_tolerance, find_nearest_quickly
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.velocity import record_tangent_rows, record_velocity_rows
 from kempe.errors import InputError
@@ -36,7 +38,7 @@ from kempe.mobility.dof_proofs import has_full_rank
 from kempe.mobility.growth_vectors import compute_distribution
 from kempe.mobility.one_sided import report_if_relevant
 from kempe.model.ball_angles import make_regular_chart
-from kempe.model.configurations import find_home, read_q
+from kempe.model.configurations import find_home, has_loops, read_q
 from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.clock import SHORT, TimeLimit, find_time_limit, limit_time
 from kempe.spatial import Array
@@ -104,13 +106,31 @@ def _analyze_system(
     if not at.closed:
         return _make_open_answer(system, shown, at)
     other, q, turned = make_regular_chart(system, at.q)
-    if turned:  # angles of a ball have velocities there that move nothing
+    if not turned:
+        found = _analyze_configuration(system, shown, at, actuated, local, rng, time)
+    else:  # angles of a ball have velocities there that move nothing
         found = _analyze_configuration(other, shown, replace(at, q=q), actuated, local, rng, time)
         from kempe.mobility.local_dimension import convert_to_system
 
         truth = None if found.local is None else convert_to_system(system, found.local, turned)
-        return replace(found, q=at.q, local=truth, one_sided=report_if_relevant(shown, at.q))
-    return _analyze_configuration(system, shown, at, actuated, local, rng, time)
+        found = replace(found, q=at.q, local=truth, one_sided=report_if_relevant(shown, at.q))
+    return replace(found, hint=_find_hint(system, found)) if local and not found.late else found
+
+
+def _find_hint(system: Model, found: Mobility) -> str:
+    """Find what may have been meant by a mechanism with fewer or more freedoms than expected.
+
+    That is a mechanism nearby that moves where this one cannot, or a configuration that is not
+    folded. It is "" where nothing speaks for either.
+    """
+    if not has_loops(system) or found.dof is None:
+        return ""
+    if found.dof == 0:
+        near = find_nearest_quickly(system)
+        return wording.suggest_near_mechanism(near.least, near.freedoms) if near else ""
+    more = found.dof > found.gruebler and not found.singular  # else branches are told apart
+    folded = find_coinciding_joints(system, found.q) if more else []
+    return wording.describe_fold(folded) if folded else ""
 
 
 def _analyze_configuration(

@@ -78,11 +78,12 @@ class Layout:
             kernel(*self._places, np.ascontiguousarray(a)[None], np.ascontiguousarray(b)[None], out)
             return out[0]
         lead = np.broadcast_shapes(a.shape[:-1], b.shape[:-1])
+        n = math.prod(lead)
         rows = [
-            np.ascontiguousarray(np.broadcast_to(x, (*lead, x.shape[-1]))).reshape(-1, x.shape[-1])
+            np.ascontiguousarray(np.broadcast_to(x, (*lead, x.shape[-1]))).reshape(n, x.shape[-1])
             for x in (a, b)
         ]
-        out = np.empty((len(rows[0]), size))
+        out = np.empty((n, size))
         kernel(*self._places, *rows, out)
         return out.reshape(*lead, size)
 
