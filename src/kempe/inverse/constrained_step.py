@@ -145,7 +145,7 @@ class ConstrainedSteps:
 
         They hold after dt.
 
-        What is outside its limits comes back as fast as it may.
+        What is outside its limits goes no further, and may rest.
         """
         x = q[self.at_q]
         low = -speed
@@ -154,10 +154,8 @@ class ConstrainedSteps:
         below = self.lower - x
         above = self.upper - x
         near = EDGE * np.maximum(1.0, np.abs(x))
-        below[np.abs(below) <= near] = 0.0
-        above[np.abs(above) <= near] = 0.0
-        low[at] = np.minimum(np.maximum(low[at], below / dt), speed[at])
-        high[at] = np.maximum(np.minimum(high[at], above / dt), -speed[at])
+        low[at] = np.maximum(low[at], np.where(below < -near, below / dt, 0.0))
+        high[at] = np.minimum(high[at], np.where(above > near, above / dt, 0.0))
         return low / self.scale, high / self.scale
 
     def make_twist_stage(self, J: Array, twist: Array, weights: Array) -> Stage:
@@ -316,7 +314,7 @@ class ConstrainedSteps:
             return *self.take_step(q, share * u + (1.0 - share) * other, dt, low, high), False
         wide = (low, high)
         speeds = None
-        if not free.rest.any() and (low <= 0.0).all() and (high >= 0.0).all():
+        if not free.rest.any():
             least, most = self.compute_velocity_bounds(q, dt, np.full(len(low), math.inf))
             wide = (np.maximum(least, -LARGEST / dt), np.minimum(most, LARGEST / dt))
             speeds = (low, high)

@@ -46,7 +46,7 @@ def take_step(own, q, velocity, out):
 def compute_velocity_bounds(own, q, bounded, low, high):
     """Write bounds (n,) of velocities that keep limits of position, and of speed if `bounded`.
 
-    What is outside its limits comes back as fast as it may.
+    What is outside its limits goes no further, and may rest: to stand still is always allowed.
     """
     for k in range(own.n):
         speed = own.fastest[k] if bounded else math.inf
@@ -56,14 +56,10 @@ def compute_velocity_bounds(own, q, bounded, low, high):
         if i >= 0:
             below = own.lower[k] - q[i]
             above = own.upper[k] - q[i]
-            near = EDGE * max(1.0, abs(q[i]))
-            if abs(below) <= near:
-                below = 0.0
-            if abs(above) <= near:
-                above = 0.0
+            near = -EDGE * max(1.0, abs(q[i]))
             per = 1.0 / (own.dt * own.scale[k])
-            least = min(max(least, below * per), speed)
-            most = max(min(most, above * per), -speed)
+            least = max(least, below * per if below < near else 0.0)
+            most = min(most, above * per if -above < near else 0.0)
         low[k] = least
         high[k] = most
 

@@ -767,9 +767,6 @@ def approach_nearest_pose(servo, q, move, square, out):
     least = advance_pointer(servo.vectors, 9 * n)
     most = advance_pointer(servo.vectors, 10 * n)
     y = advance_pointer(servo.vectors, 11 * n)
-    comes_back = False
-    for j in range(n):
-        comes_back = comes_back or move.low[j] > 0.0 or move.high[j] < 0.0
     more = RESIDUAL * math.sqrt(square)
     regular = solve_regular_wish(servo, more, x)
     compute_velocity_bounds(servo, q, False, least, most)
@@ -782,9 +779,7 @@ def approach_nearest_pose(servo, q, move, square, out):
         minimize_damped_residual(servo, x, least, most, y)
         for j in range(n):
             x[j] = y[j]
-    part = 0.0
-    if whole or not comes_back:
-        part = compute_feasible_fraction(x, move.low, move.high, n)
+    part = compute_feasible_fraction(x, move.low, move.high, n)
     size = 1e-300
     for j in range(n):
         size = max(size, abs(x[j]) * servo.dt / servo.unit[j])
@@ -803,10 +798,6 @@ def approach_nearest_pose(servo, q, move, square, out):
     if not decomposed:
         solve_unbounded_wish(servo, more, x)
     descend_to_second_order(servo, q, move, square, least, most, y)
-    if comes_back:
-        for j in range(n):
-            out[j] = min(max(y[j], move.low[j]), move.high[j])
-        return False
     own = compute_feasible_fraction(y, move.low, move.high, n)
     share = max(0.0, (gain - LITTLE_GAIN) / (ENOUGH_GAIN - LITTLE_GAIN))
     for j in range(n):
@@ -951,13 +942,10 @@ def descend_to_second_order(servo, q, move, square, low, high, out):
     _, _, hard, v = get_singular_values(servo)
     fill_hessian(servo, q, move, h)
     multiply_columns(move.slopes, move.missing, ROWS, n, push)
-    comes_back = False
     largest = 0.0
     for i in range(n):
         least[i] = max(low[i] * servo.dt / servo.unit[i], -LARGEST)
         most[i] = min(high[i] * servo.dt / servo.unit[i], LARGEST)
-        rest = min(max(0.0, least[i]), most[i])
-        comes_back = comes_back or rest != 0.0
         for j in range(n):
             total = 0.0
             for k in range(min(ROWS, n)):
@@ -972,7 +960,7 @@ def descend_to_second_order(servo, q, move, square, low, high, out):
             for j in range(n):
                 strength = max(strength, abs(h[i * n + j]))
             if strength <= FLAT * largest:
-                z[i] = min(max(0.0, least[i]), most[i])
+                z[i] = 0.0
         promise = compute_promise(h, push, z, n)
         # damping hides where the error itself curves down
         if promise <= BLIND * square:
@@ -980,14 +968,12 @@ def descend_to_second_order(servo, q, move, square, low, high, out):
             if curvature < 0.0:
                 move_along_direction(z, way, compute_dot(push, way, n), least, most, n)
                 promise = compute_promise(h, push, z, n)
-        if not comes_back and 0.0 <= promise and promise <= STILL * square + LEAST_PROMISE:
+        if 0.0 <= promise and promise <= STILL * square + LEAST_PROMISE:
             break
         for i in range(n):
             spare[i] = servo.unit[i] * z[i] / servo.dt
-        if (
-            comes_back  # what is outside its limits comes back
-            or (0.0 < promise and promise <= BLIND * square)
-            or compute_remaining_error(servo, q, spare) <= square - TAKEN * promise
+        if (0.0 < promise and promise <= BLIND * square) or (
+            compute_remaining_error(servo, q, spare) <= square - TAKEN * promise
         ):
             for i in range(n):
                 out[i] = spare[i]

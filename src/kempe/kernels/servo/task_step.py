@@ -541,9 +541,7 @@ def lower_rows(own, d, p, lowered, count, damping, modelled, model, slowed, low,
 
 @routine
 def take_box(own, d, low, high):
-    """Begin with no velocities within a box, or at its border where that excludes rest; return the
-    number of bounds.
-    """
+    """Begin at rest within a box; return the number of bounds."""
     n = own.n
     count = 0
     for j in range(n):
@@ -554,8 +552,6 @@ def take_box(own, d, low, high):
         if not (abs(low[j]) < math.inf or abs(high[j]) < math.inf):
             continue
         row = advance_pointer(d.free, j * n)
-        if low[j] > BEYOND or high[j] < -BEYOND:
-            d.z[j] = min(max(0.0, low[j]), high[j])
         add_bound(d, n, count, row, low[j], high[j])
         count += 1
     return count
@@ -792,9 +788,7 @@ def leave_saddle_point(own, d, t, rows, level, low, high, u):
 
 
 @routine
-def descend_to_second_order(
-    own, loops, d, t, q, rows, aside, level, slowed, least, most, low, high, u
-):
+def descend_to_second_order(own, loops, d, t, q, rows, aside, level, least, most, low, high, u):
     """Write velocities (n,) of a step of second order for a level, those of the levels before where
     none lowers its error; u are those of first order.
     """
@@ -832,7 +826,7 @@ def descend_to_second_order(
                 part = compute_feasible_fraction(u, least, most, n)
                 for j in range(n):
                     u[j] *= part
-            elif slowed:
+            else:
                 compute_velocity(
                     own, d, rows, level, low, high, True, t.convex, True, least, most,
                     own.damping, u,
@@ -840,7 +834,7 @@ def descend_to_second_order(
             return
         more = 4.0 * more if more > 0.0 else 1e-2 * size
     compute_velocity(
-        own, d, rows, level - 1, low, high, False, t.model, slowed, least, most, own.damping, u
+        own, d, rows, level - 1, low, high, False, t.model, True, least, most, own.damping, u
     )
 
 
@@ -874,23 +868,17 @@ def compute_goal_velocity(own, loops, d, t, q, rows, aside, low, high, u):
     """
     n = own.n
     compute_velocity_bounds(own, q, True, low, high)
-    slowed = True
+    compute_velocity_bounds(own, q, False, t.wide_low, t.wide_high)
     for j in range(n):
-        slowed = slowed and low[j] <= 0.0 and high[j] >= 0.0
-        t.wide_low[j] = low[j]
-        t.wide_high[j] = high[j]
-    if slowed:
-        compute_velocity_bounds(own, q, False, t.wide_low, t.wide_high)
-        for j in range(n):
-            t.wide_low[j] = max(t.wide_low[j], -LARGEST / own.dt)
-            t.wide_high[j] = min(t.wide_high[j], LARGEST / own.dt)
+        t.wide_low[j] = max(t.wide_low[j], -LARGEST / own.dt)
+        t.wide_high[j] = min(t.wide_high[j], LARGEST / own.dt)
     compute_velocity(
         own, d, rows, own.levels, t.wide_low, t.wide_high, False, t.model, False, low, high,
         own.damping, u,
     )  # fmt: skip
     size = own.dt * compute_dot(u, u, n)
     still = size * own.dt <= ENOUGH * ENOUGH
-    whole = not slowed or compute_feasible_fraction(u, low, high, n) == 1.0
+    whole = compute_feasible_fraction(u, low, high, n) == 1.0
     far = not (whole or still)
     if far:
         take_step(own, q, u, t.after)
@@ -906,12 +894,12 @@ def compute_goal_velocity(own, loops, d, t, q, rows, aside, low, high, u):
     level = find_missed_level(own, t, size)
     if level:
         descend_to_second_order(
-            own, loops, d, t, q, rows, aside, level, slowed, low, high, t.wide_low, t.wide_high, u
+            own, loops, d, t, q, rows, aside, level, low, high, t.wide_low, t.wide_high, u
         )
         return False
     if still:
         for j in range(n):
-            u[j] = min(max(0.0, low[j]), high[j])
+            u[j] = 0.0
     elif not whole:
         compute_velocity(
             own, d, rows, own.levels, t.wide_low, t.wide_high, False, t.model, True, low, high,
