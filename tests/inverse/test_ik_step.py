@@ -214,12 +214,20 @@ def test_damping_near_a_singularity():
     np.testing.assert_allclose(free.twist[:2], wish, atol=1e-9)
 
 
-def test_limits_of_the_description_hold_and_what_is_outside_comes_back():
+def test_limits_of_the_description_hold_and_what_is_outside_goes_no_further():
     s = arm()
     fast = s.ik_step([0.0, 1.0], [0.0, 9.0, 0, 0, 0, 0], "tip", DT, weights=POSITION)
     assert fast.velocity[0] == 3.0 and fast.saturated == ("a",)
-    back = s.ik_step([2.5, 1.0], np.zeros(6), "tip", DT)
-    assert back.velocity[0] == -3.0 and back.q[0] == pytest.approx(2.47) and "a" in back.saturated
+    rests = s.ik_step([2.5, 1.0], np.zeros(6), "tip", DT)
+    assert not rests.velocity.any() and "outside its limits, led no further: 'a'" in rests.status
+    J = s.jacobian([2.5, 1.0], "tip")
+    for sign in (-1.0, 1.0):
+        for keep in (False, True):
+            wanted = sign * 0.1 * J[:, 0]
+            step = s.ik_step([2.5, 1.0], wanted, "tip", DT, keep_direction=keep, damping=0.0)
+            assert 0.0 <= step.fraction <= 1.0 + 1e-12
+            assert step.velocity[0] <= 0.0 and np.abs(step.velocity).max() < 0.2
+            assert (step.velocity[0] < -0.09) == (sign < 0.0)
     stays = s.ik_step([2.0, 1.0], [-5.0, -5.0, 0, 0, 0, 0], "tip", DT, weights=POSITION)
     assert stays.q[0] <= 2.0 and stays.q[1] <= 2.0
 

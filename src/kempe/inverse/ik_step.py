@@ -30,7 +30,7 @@ from kempe.kernels.forward.table_layout import (
     get_row_integers,
 )
 from kempe.kernels.servo.servo_layout import ANSWER, FRACTION
-from kempe.kernels.servo.step_constants import BESIDE, NEAR, SHORTER, SLOW
+from kempe.kernels.servo.step_constants import BESIDE, NEAR, REACHED, SHORTER, SLOW
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import read_q
 from kempe.model.model import bind_call, keep_answers, store_answer
@@ -655,7 +655,7 @@ def _make_constrained_step(
     had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
     twist = had if frame is None else J @ velocity
     names = tuple(system.structure.velocity_names[int(i)] for i in at)
-    part = _compute_fraction(had, requested)
+    part = _compute_fraction(had, requested, dt)
     blocked = (
         closed.find_blocking_constraints(q, stages, u, low, high)
         if part < WHOLE and closed.rolls
@@ -734,10 +734,10 @@ def _make_constrained_steps(system: Model) -> Any:
     return ConstrainedSteps(system)
 
 
-def _compute_fraction(had: Array, requested: Array) -> float:
+def _compute_fraction(had: Array, requested: Array, dt: float) -> float:
     """Compute which fraction of the requested motion is achieved."""
     square = float(requested @ requested)
-    return float(requested @ had) / square if square else 1.0
+    return float(requested @ had) / square if square * dt * dt > REACHED * REACHED else 1.0
 
 
 def _parse_motion(wanted: Any) -> Array:

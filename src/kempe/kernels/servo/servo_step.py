@@ -1206,6 +1206,7 @@ def write_answer(servo, move, q_index, v_index, after, all_q, all_v, q, out):
         velocity[v_index[k]] = move.velocity[k]
     had = 0.0
     square = 0.0
+    missed = 0.0
     for i in range(ROWS):
         x = compute_dot(advance_pointer(move.jacobian, i * n), move.velocity, n)
         rest[TWIST + i] = x

@@ -69,6 +69,7 @@ from kempe.kernels.servo.step_constants import (
     LEAST,
     NEAR,
     NOTHING,
+    REACHED,
     ROUNDING,
     SADDLE,
     SHIFT,
@@ -958,7 +959,8 @@ def write_answer(own, rows, q, u, low, high, out):
                 had += rows.low[i] * x
                 square += rows.low[i] * rows.low[i]
                 k += 1
-    velocity[n] = had / square if square > 0.0 else 1.0
+    reached = square * own.dt * own.dt <= REACHED * REACHED
+    velocity[n] = 1.0 if reached else had / square
     return count
 
 
