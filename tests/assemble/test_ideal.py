@@ -644,3 +644,31 @@ def test_a_tolerance_of_the_mechanism_holds_for_all_verbs_and_in_files(hunt, tmp
     path.write_text('format = 1\ntolerance = "no"\n')
     with pytest.raises(kempe.errors.DescriptionError, match="tolerance is 'no'"):
         kempe.load(path)
+
+
+def make_locomotive(error: float) -> kempe.System:
+    """Make three parallel cranks on one rod; the pin of the one between is off along the rod."""
+    m = kempe.Mechanism("locomotive", dim=2)
+    m.revolute("A", m.ground, m.body("first"))
+    m.revolute("B", "first", m.body("rod"), at=(0.05, 0))
+    m.revolute("C", "rod", m.body("last"), at=(0.2, 0), child_at=(0.05, 0))
+    m.revolute("D", m.ground, "last", at=(0.2, 0))
+    m.revolute("E", "rod", m.body("between"), at=(0.1 + error, 0), child_at=(0.05, 0))
+    m.revolute("F", m.ground, "between", at=(0.1, 0))
+    return m.build()
+
+
+@pytest.mark.parametrize("error", [1e-9, 1e-7, 1e-5])
+def test_a_tolerance_is_enough_from_the_change_that_is_needed_on(error):
+    """What is needed is 2/3 of the error: three pins share it. Less does not do, more does."""
+    system = make_locomotive(error)
+    for part in (0.4, 0.6, 0.7, 1.0, 3.0, 30.0):
+        closed = bool(system.assemble({"A": 0.8}, tolerance=part * error))
+        assert closed == (part > 2.0 / 3.0), part
+
+
+def test_mobility_says_what_moves_near_a_rigid_mechanism():
+    """Also where it stands folded: `test_mobility_says_where_it_is_folded`."""
+    found = make_locomotive(1e-5).mobility()
+    assert found.dof == 0 and "it closes with 1 freedom: give a larger tolerance" in found.sentence
+    assert "larger tolerance" not in kempe.load("shaky_3r").mobility().sentence

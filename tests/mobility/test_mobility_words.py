@@ -166,3 +166,21 @@ def test_what_bends_is_said_of_one_and_of_several(wheels, words):
         m.revolute(f"spin{k}", "axle", m.body(f"wheel{k}"), at=(0, 0.5 * k, 0), axis="y")
         m.rolls(f"w{k}", f"wheel{k}", radius=0.2, shape="disc")
     assert words in str(m.build().mobility()) and f"{words}s" not in str(m.build().mobility())
+
+
+def test_mobility_says_where_it_is_folded():
+    """A scissor of two stages flat on the ground has a freedom more than one that is raised."""
+    m = kempe.Mechanism("scissor", dim=2)
+    m.revolute("O", m.ground, m.body("u0"), child_at=(-1, 0))
+    m.prismatic("S", m.ground, m.body("shoe"), axis="x")
+    m.revolute("toe", "shoe", m.body("v0"), child_at=(-1, 0))
+    m.revolute("X0", "u0", "v0")
+    m.revolute("X1", m.body("u1"), m.body("v1"))
+    m.revolute("r0", "u0", "v1", at=(1, 0), child_at=(-1, 0))
+    m.revolute("l0", "v0", "u1", at=(1, 0), child_at=(-1, 0))
+    system = m.build()
+    folded = system.mobility()
+    raised = system.mobility(system.assemble({"S": 1.2}).q)
+    assert folded.dof > raised.dof == 1
+    assert "folded here, where r0 and l0 coincide: ask at another position" in folded.sentence
+    assert "folded" not in raised.sentence

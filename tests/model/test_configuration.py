@@ -13,7 +13,7 @@ from hunts import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kempe import Mechanism, System
+from kempe import Mechanism, System, spatial
 from kempe.errors import InputError, UnknownNameError
 from kempe.model.configurations import find_free_angles
 
@@ -433,3 +433,30 @@ def test_the_difference_is_the_way_whose_length_is_the_distance(seed):
     np.testing.assert_allclose(off, turns * np.round(off / (2.0 * np.pi)), atol=1e-12)
     wound = q1 + turns * rng.integers(-3, 4, (5, 4))
     np.testing.assert_allclose(space.difference(q0, wound), v, atol=1e-11)
+
+
+@pytest.mark.parametrize("shape", [(), (7,), (0,), (3, 1)])
+def test_steps_and_differences_are_those_of_quaternions(shape):
+    """Steps of angles add, balls turn in their own axes: by the functions of `spatial`."""
+    s = system(turn="revolute", ball="spherical", block="planar", free="free")
+    layout = s.structure.layout
+    rng = np.random.default_rng(2)
+    q = rng.normal(size=(*shape, s.nq))
+    v = 2.0 * rng.normal(size=(*shape, s.nv))
+    there = layout.integrate_velocity(q, v)
+    away = layout.compute_difference(q, there)
+    np.testing.assert_allclose(
+        there[..., layout.vector_q], q[..., layout.vector_q] + v[..., layout.vector_v]
+    )
+    for i, k in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
+        turned = spatial.quat_wxyz_multiply(
+            spatial.unit(q[..., i : i + 4]), spatial.quat_wxyz_exp(v[..., k : k + 3])
+        )
+        np.testing.assert_allclose(there[..., i : i + 4], turned, atol=1e-15)
+        back = spatial.quat_wxyz_exp(away[..., k : k + 3])
+        same = spatial.quat_wxyz_multiply(spatial.unit(q[..., i : i + 4]), back)
+        sign = np.sign(np.sum(same * turned, axis=-1, keepdims=True))
+        np.testing.assert_allclose(sign * same, turned, atol=1e-14)
+        assert (np.linalg.norm(away[..., k : k + 3], axis=-1) <= np.pi + 1e-12).all()
+    one = layout.integrate_velocity(q, v[(0,) * len(shape)]) if 0 not in shape else q
+    assert one.shape == q.shape

@@ -78,6 +78,7 @@ from kempe.kernels.servo.step_constants import (
     NO_PART,
     NOISE,
     NULL_SPEED,
+    REACHED,
     ROUNDING,
     SADDLE,
     SHIFT,
@@ -1213,7 +1214,10 @@ def write_answer(servo, move, q_index, v_index, after, all_q, all_v, q, out):
         wish = servo.weights[i] * move.twist[i]
         had += wish * servo.weights[i] * x
         square += wish * wish
-    rest[FRACTION] = had / square if square > 0.0 else 1.0
+        way = servo.metric[i] * move.twist[i] * servo.dt
+        missed += way * way
+    reached = square == 0.0 or missed <= REACHED * REACHED
+    rest[FRACTION] = 1.0 if reached else had / square
     return mark_limited(servo, move.velocity, move.low, move.high, advance_pointer(rest, ANSWER))
 
 

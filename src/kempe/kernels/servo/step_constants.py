@@ -19,6 +19,8 @@ NOISE = 1e-9
 """Part of the largest velocity up to which one is rounding."""
 NOTHING = 1e-14
 """Length of what is missed that rounding makes."""
+REACHED = 1e-12
+"""Length of what is missed up to which a goal counts as reached."""
 ROUNDING = 1e-12
 """Singular values, as parts of the largest, that rounding makes."""
 DIFFERENCE = 1e-5
