@@ -111,9 +111,12 @@ class IkStep(Answer):
         return Status.SOLVED if self.fraction >= WHOLE else Status.PARTLY
 
     def _compose_sentence(self, index: tuple[int, ...]) -> str:
-        if self.success:
+        default: tuple[str, ...] = ()
+        if not self.twist.size:
+            moves = self.velocity.any()
+            text = "A step of the soft tasks" if moves else "No motion: a step of soft tasks alone"
+        elif self.success:
             text = "The wanted motion in full"
-            default = ()
         else:
             none = "Nothing of the wanted motion" if self.velocity.any() else "No motion"
             text = f"{self.fraction:.3g} of the wanted motion" if self.fraction > 0.0 else none
@@ -126,7 +129,7 @@ class IkStep(Answer):
             why.append(f"at a limit: {', '.join(map(repr, inside))}")
         if outside:
             why.append(f"outside its limits, led no further: {', '.join(map(repr, outside))}")
-        if self.held_apart and not self.success:
+        if self.held_apart and not (self.success and self.twist.size):
             said = ", ".join(f"{a!r} and {b!r}" for a, b in self.held_apart)
             why.append(f"kept apart: {said}")
         if default:
