@@ -326,6 +326,31 @@ CASES = {
         InputError,
         "known is .1.; it must be a list of names",
     ),
+    "rows of other lengths": (
+        lambda: PUMA.ik([[1, 2, 3], [1, 0]], "tool"),
+        InputError,
+        "target is ragged: row 1 has 2 numbers, row 0 has 3 numbers; it must be an array",
+    ),
+    "position beside a quaternion": (
+        lambda: PUMA.ik(([1, 2, 3], [1, 0, 0, 0]), "tool"),
+        InputError,
+        "row 1 has 4 numbers.*write {'at': .*'quat_wxyz'",
+    ),
+    "place that is infinite": (
+        lambda: PUMA.ik([np.inf, 0, 0], "tool"),
+        InputError,
+        "target is not a pose: its x is inf; it must be finite",
+    ),
+    "tasks with a frame": (
+        lambda: PUMA.ik([tasks.Position("tool", [1, 0, 0])], "tool"),
+        InputError,
+        "target holds tasks, which name their own frames: leave out the frame",
+    ),
+    "posture as q": (
+        lambda: PUMA.fk("qz", "tool"),
+        InputError,
+        r"q is 'qz'; .* a posture is system.q\('qz'\)",
+    ),
     "more than memory": (lambda: PUMA.random(0, 2**60), InputError, "this memory does not hold"),
     "row of a batch": (
         lambda: PUMA.ik(np.stack([X, X]), "tool").sentence((2,)),
@@ -642,11 +667,11 @@ NO_POSES = {
     ),
     "nan": (
         np.where(np.arange(16).reshape(4, 4) == 3, np.nan, np.eye(4)),
-        r"its entry \[0, 3\] is nan; it must be",
+        "its x is nan; it must be",
     ),
     "large": (
         np.where(np.arange(16).reshape(4, 4) == 3, 1e120, np.eye(4)),
-        r"its entry \[0, 3\] is 1e\+120; its size",
+        r"its x is 1e\+120; its size",
     ),
 }
 

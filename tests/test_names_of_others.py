@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 
 import pytest
 
 import kempe
 from kempe.errors import (
     MEMBERS_ELSEWHERE,
+    MEMBERS_WITHIN,
     OPTIONS_ELSEWHERE,
     CallError,
     KempeError,
@@ -30,6 +32,15 @@ def test_members_of_other_libraries(name):
     with pytest.raises(MissingMemberError, match=f"did you mean '{MEMBERS_ELSEWHERE[name]}'"):
         getattr(ARM, name)
     assert not hasattr(ARM, name)
+
+
+@pytest.mark.parametrize("name", MEMBERS_WITHIN)
+def test_members_of_parts_and_answers(name):
+    meant = re.escape(MEMBERS_WITHIN[name])
+    with pytest.raises(MissingMemberError, match=f"has no '{name}'; did you mean '{meant}'"):
+        getattr(ARM, name)
+    assert ARM.mechanism.lock({"q3": 0.5}).build().nq == 5
+    assert ARM.reach.poses(ARM.fk(ARM.mid, "tool")[None], "tool").manipulability.shape == (1,)
 
 
 @pytest.mark.parametrize("name", ["fk", "ik", "plot", "mobility", "trace", "fkine"])

@@ -74,7 +74,7 @@ def convert_array(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
     try:
         array = np.asarray(given)
     except (TypeError, ValueError, RuntimeError, OverflowError):
-        held = "ragged" if isinstance(given, (list, tuple)) else format_value(given)
+        held = explain_ragged_list(given) if is_sequence(given) else format_value(given)
         raise InputError(f"{what} is {held}; it must be {wanted}") from None
     if array.dtype == object and not is_array(given) and PLAIN.issuperset(map(type, array.flat)):
         try:
@@ -90,6 +90,25 @@ def convert_array(given: Any, what: str, wanted: str) -> NDArray[np.float64]:
         raise InputError(f"{what} holds {held}; it must be {wanted}")
     with np.errstate(over="ignore"):
         return array.astype(np.float64, copy=False)
+
+
+def explain_ragged_list(given: Sequence[Any]) -> str:
+    """Explain why a nested list is no array: the first row that has another size than row 0."""
+    rows = [
+        row if is_sequence(row) else list(row) if is_array(row) and row.ndim else None
+        for row in given
+    ]
+    sizes = [None if row is None else len(row) for row in rows]
+    odd = next((i for i, size in enumerate(sizes) if size != sizes[0]), None)
+    if odd is None:
+        return "ragged"
+    numbers = all(is_real(x) for row in (rows[odd], rows[0]) for x in row or ())
+    noun = "number" if numbers else "row"
+    has, first = (
+        "is a number" if size is None else f"has {format_count(size, noun)}"
+        for size in (sizes[odd], sizes[0])
+    )
+    return f"ragged: row {odd} {has}, row 0 {first}"
 
 
 def check_range(
@@ -113,9 +132,9 @@ def check_range(
     raise InputError(f"{what}{at} is {value:g}; {allowed}")
 
 
-def warn_of_degrees(angles: Any, what: str) -> bool:
+def warn_of_degrees(angles: Any, what: str, in_file: bool = False) -> bool:
     """Warn if an angle, in radians, looks like one in degrees: a multiple of 5 beyond two turns, up
-    to 720. Return whether it did.
+    to 720. Return whether it did. Of a number `in_file` the warning gives the radians to write there.
 
     `angles` is an array, or a sequence whose entries that are no numbers are not looked at.
     """
@@ -126,8 +145,12 @@ def warn_of_degrees(angles: Any, what: str) -> bool:
     for x in angles:
         if is_real(x) and MOST_TURNED < abs(x) <= LARGEST_DEGREES and x % 5.0 == 0.0:
             turns = x / (2.0 * math.pi)
-            said = f"{what} is {x:g} rad, {turns:.1f} turns; for degrees write {x:g} * kempe.deg"
-            warn(said, DegreesWarning)
+            written = (
+                f"angles in files are radians: for {x:g} degrees write {math.radians(x):.9g}"
+                if in_file
+                else f"for degrees write {x:g} * kempe.deg"
+            )
+            warn(f"{what} is {x:g} rad, {turns:.1f} turns; {written}", DegreesWarning)
             return True
     return False
 

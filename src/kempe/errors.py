@@ -181,7 +181,7 @@ MEMBERS_ELSEWHERE = {
     "jacobe": "jacobian",
     "jac": "jacobian",
     "dof": "mobility",
-    "n": "nv",
+    "n": "nq",
     "njoints": "joint_names",
     "links": "body_names",
     "qlim": "lower",
@@ -194,6 +194,12 @@ MEMBERS_ELSEWHERE = {
     "show_linkage": "plot",
 }
 """Members of other libraries' models, and those of a `System` in their place."""
+
+MEMBERS_WITHIN = {
+    "lock": "mechanism.lock({...}).build()",
+    "manipulability": "reach.poses(targets, frame).manipulability",
+}
+"""What is looked for at a `System`, and where a part of it or an answer has it."""
 
 
 class MissingMemberError(KempeError, AttributeError):

@@ -144,6 +144,9 @@ def explain_pose_error(X: Array, exact: float = EXACT) -> str:
     if np.isfinite(last).all() and last != spatial.LAST_ROW:
         return f"its last row is {last}; it must be 0 0 0 1"
     try:
+        check_range(X[:3, :3], "its entry ")
+        for axis, x in zip("xyz", X[:3, 3], strict=True):
+            check_range(x, f"its {axis}")
         check_range(X, "its entry ")
     except InputError as error:
         return str(error)

@@ -16,7 +16,13 @@ from kempe.arguments import add_signature_options, explain_errors, quiet
 from kempe.budget import Budget
 from kempe.description.mechanism import extract_group
 from kempe.description.parts import Frame, ReadOnlyDict
-from kempe.errors import MEMBERS_ELSEWHERE, InputError, UnknownNameError, raise_missing_member
+from kempe.errors import (
+    MEMBERS_ELSEWHERE,
+    MEMBERS_WITHIN,
+    InputError,
+    UnknownNameError,
+    raise_missing_member,
+)
 from kempe.model import configurations
 from kempe.model.model import FrameLike, Model, SystemType
 from kempe.spatial import Array
@@ -723,7 +729,7 @@ class System(Model, Pictured):
             """Raise the error of a missing member: which one is meant, also by a name that another
             library has for it.
             """
-            meant = MEMBERS_ELSEWHERE.get(name)
+            meant = MEMBERS_ELSEWHERE.get(name) or MEMBERS_WITHIN.get(name)
             raise_missing_member(self, name, f"; did you mean {meant!r}?" if meant else "")
 
     def fk(

@@ -43,7 +43,10 @@ def test_text_bytes_and_files(text: str, suffix: str, tmp_path: Path):
 
 def test_options_of_urdf_reach_the_reader():
     assert read_mechanism(URDF, base="free").ground.name == "world"
-    with pytest.raises(InputError, match="the option 'base' is for URDF or SDF, and this is TOML"):
+    with pytest.raises(
+        InputError,
+        match="the option 'base' is for URDF or SDF, and this is TOML; save it as URDF first",
+    ):
         read_mechanism(TOML, base="free")
     with pytest.raises(InputError, match="format is 'usd'; it must be 'urdf', 'toml'"):
         read_mechanism(URDF, format="usd")
@@ -71,6 +74,8 @@ def test_a_file_goes_before_a_model_of_the_library(tmp_path, monkeypatch):
     ("source", "words"),
     [
         ("model.udrf", "there is no such file; did you mean 'model.urdf'"),
+        ("MODEL", "there is no such file; did you mean 'model.urdf'"),
+        ("zzzzzz.urdf", "there is no such file; there are: model.urdf, other.toml"),
         ("zzzzzz.xml", "there is no such file; there are: model.urdf, other.toml"),
         ("nowhere/model.urdf", "there is no folder 'nowhere' either"),
         ("empty/x.urdf", "there are no robot files in that folder"),

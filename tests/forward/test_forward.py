@@ -302,7 +302,10 @@ def test_the_ground_does_not_move():
         ("zero", "q is 'zero'; it must be an array of real numbers or a dict"),
         (None, "q is None; it must be an array"),
         ([0, 0, 0, 0, 0, 0, "a"], "q holds text; it must be an array of real numbers"),
-        ([[0], [0, 1]], "q is ragged; it must be an array of real numbers"),
+        (
+            [[0], [0, 1]],
+            "q is ragged: row 1 has 2 numbers, row 0 has 1 number; it must be an array of real",
+        ),
         (["1"] * 7, "q holds text; it must be an array of real numbers"),
         ([1j] * 7, "q holds complex numbers; it must be an array of real numbers"),
         (np.full(7, 1j), "q holds complex numbers; it must be an array of real numbers"),

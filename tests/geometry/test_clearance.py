@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command import Result
 from robots import urdf_files
 
 import kempe
@@ -51,6 +52,18 @@ def test_a_sphere_in_front_of_a_wall():
     np.testing.assert_allclose(n.points[0], [[x + 0.1, 0, z], [1.4, 0, z]], atol=1e-6)
     np.testing.assert_allclose(n.gradient[0], [math.sin(0.5)], atol=1e-6)
     assert "'link' and 'wall'" in n.status and "m apart" in n.status
+
+
+def test_the_command_says_which_configuration_it_took(tmp_path):
+    m = arm(kind="sphere", radius=0.1)
+    m.obstacle("wall", "box", size=(0.2, 2, 2), at=(1.5, 0, 1))
+    file = m.build().with_limits({"A": (0.5, 1.0)}).mechanism.save(tmp_path / "arm.toml")
+    without = Result("clearance", file)
+    assert (
+        without.err == "kempe: without --q: at the neutral configuration, outside the limits of A\n"
+    )
+    given = Result("clearance", file, "--q", "0")
+    assert given.err == "" and given.out == without.out
 
 
 def test_overlap_is_negative_and_says_so():

@@ -89,7 +89,10 @@ def test_one_source_of_names():
         (np.zeros(5), "v has 5 coordinates; chain has 4 velocity coordinates"),
         (1.0, "v has a single number; chain has 4"),
         ("fast", "v is 'fast'; it must be an array"),
-        ([[0] * 4, [0] * 3], "v is ragged; it must be an array"),
+        (
+            [[0] * 4, [0] * 3],
+            "v is ragged: row 1 has 3 numbers, row 0 has 4 numbers; it must be an array",
+        ),
     ],
 )
 def test_bad_tangents(v, words):

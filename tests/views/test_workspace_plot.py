@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -50,6 +52,21 @@ def test_slices_go_through_the_point():
         assert np.array_equal(np.ma.filled(ax.images[0].get_array(), 0).T, layer)
         assert ax.get_title().startswith(f"{name} = ")
         assert math.isclose(float(ax.get_title()[4:-2]), x, abs_tol=SPACE.resolution)
+
+
+def test_without_matplotlib_every_plot_names_the_extra():
+    code = (
+        "import sys\nsys.modules['matplotlib'] = None\nimport numpy as np\nimport kempe\n"
+        "arm = kempe.load('two_link')\nX = arm.fk([0.3, 0.4], 'e')[None]\n"
+        "answers = (arm.workspace('e', n=1000, cells=8), arm.reach.poses(X, 'e'), "
+        "arm.reach.capability('e', [[-1, -1], [1, 1]], 4, 4), "
+        "arm.reach.place(X, 'e', {'x': (-1, 1)}, 3), arm.reach.planar('e'))\n"
+        "for answer in answers:\n    try:\n        answer.plot()\n"
+        "    except kempe.errors.MissingExtraError as error:\n"
+        "        print(error.package, error.extra)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n") == [*["matplotlib view"] * 5, ""]
 
 
 def test_a_line_goes_around_cells_where_no_boundary_is_known():

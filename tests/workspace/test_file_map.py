@@ -136,6 +136,12 @@ def test_forms(tmp_path, q, form, name, frame):
     )
 
 
+def test_answers_are_no_workspace(tmp_path, q):
+    kempe.map_file(PUMA, "fk", written(tmp_path, "q.npy", q), tmp_path / "out.zarr", "tool")
+    with pytest.raises(InputError, match="out.zarr: it holds answers of `kempe map`, no workspace"):
+        kempe.open_workspace(tmp_path / "out.zarr")
+
+
 def test_some_coordinates_by_name_in_any_order(tmp_path, q):
     file = written(tmp_path, "q.parquet", q[:, [4, 1]], ["q5", "q2"])
     kempe.map_file(PUMA, "fk", file, tmp_path / "out.zarr", "tool")

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arguments import numbers
-from kempe.arrays import is_sequence, read_reals
-from kempe.constraints.base import refuse_rotations
+from kempe.arrays import explain_ragged_list, is_array, is_sequence, read_reals
+from kempe.constraints.base import Constraint, refuse_rotations
 from kempe.errors import InputError
 from kempe.poses import (
     check_poses,
@@ -81,6 +81,10 @@ def read_target(system: Model, target: Any) -> Any:
     Errors: those of `kempe.poses.read_pose_array`; `UnknownNameError`, `InputError` for frames that
     move.
     """
+    if isinstance(target, Constraint) or (
+        is_sequence(target) and any(isinstance(part, Constraint) for part in target)
+    ):
+        raise InputError("target holds tasks, which name their own frames: leave out the frame")
     if not isinstance(target, str):
         return read_pose_array(target, "target")
     name = system.structure.frame_name(target)
@@ -151,7 +155,7 @@ def parse_task_targets(
     try:
         shape = np.shape(target)
     except ValueError:
-        raise InputError("target is ragged; it must be an array of real numbers") from None
+        raise InputError(_explain_ragged_target(target)) from None
     width = 3 if task == "direction" else 6 if task == "position_axis" else None
     if task == "orientation" and shape[-2:] == (3, 3) and system.dim == 3:
         out = np.zeros((*shape[:-2], 4, 4))
@@ -177,6 +181,20 @@ def parse_task_targets(
     if width == 6:
         out[:, :3, 3] = values[..., :3].reshape(-1, 3)
     return out, shape[:-1], False
+
+
+def _explain_ragged_target(target: Any) -> str:
+    """Explain why a list is no target; a position beside a quaternion has names."""
+    said = f"target is {explain_ragged_list(target)}" if is_sequence(target) else "target is ragged"
+    parts = target if is_sequence(target) else ()
+    sizes = [len(part) for part in parts if is_sequence(part) or (is_array(part) and part.ndim)]
+    if sizes == [3, 4] and len(parts) == 2:
+        allowed = (
+            "with a quaternion, write {'at': [x, y, z], 'quat_wxyz': [w, x, y, z]}, or 'quat_xyzw'"
+        )
+    else:
+        allowed = "it must be an array of real numbers"
+    return f"{said}; {allowed}"
 
 
 def _make_planar_poses(target: Array) -> Array:

@@ -69,11 +69,18 @@ def run_clearance(
 
     The exit code is 1 where two bodies overlap.
 
-    Example: kempe clearance panda.urdf --q 0,-45,0,-135,0,90,45,0.04,0.04 --deg
+    Without --q and --posture the configuration is the neutral one, as is remarked.
+
+    Example: kempe clearance panda.urdf --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
     from kempe.cli import arguments
+    from kempe.views import facts
 
     values = arguments.read_configurations(system, q, posture, output.deg)
+    if q is None and posture is None:
+        outside = facts.list_outside_limits(system, values)
+        beyond = f", outside the limits of {join_first_words(outside, 6)}" if outside else ""
+        print_remark(f"without --q: at the neutral configuration{beyond}")
     answer = system.geometry.nearest(values)
     output.save_table(answer)
     output.print_answers(answer)

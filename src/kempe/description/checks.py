@@ -344,7 +344,8 @@ def check_limits(
             said = f"lower limit {lower:g} is above upper limit {upper:g}"
             raise_problem(subject, said, where, "lower must not be above upper")
         if key in turning:
-            warn_of_degrees((lower, upper), name_place(subject, "a limit", where))
+            place = name_place(subject, "a limit", where)
+            warn_of_degrees((lower, upper), place, where is not None)
         out[key] = (lower, upper)
     return out
 

@@ -1719,10 +1719,6 @@ class Mechanism:
         InputError
             If a value is no finite number. Names and limits are checked by `build`.
 
-        See Also
-        --------
-        System.lock : a system with locked coordinates.
-
         Examples
         --------
         >>> m = Mechanism("arm", dim=2)
@@ -2543,7 +2539,8 @@ class Mechanism:
             angles = turn.get(way)
             if angles is not None:
                 given = angles if is_sequence(angles) or is_array(angles) else (angles,)
-                warn_of_degrees(given, checks.name_place(subject, way, where))
+                named = checks.name_place(subject, way, where)
+                warn_of_degrees(given, named, where is not None)
         return X
 
 

@@ -266,7 +266,11 @@ def _suggest_files(path: Path) -> str:
     ]
     import difflib  # only here: most files exist
 
-    near = difflib.get_close_matches(path.name, names, n=4, cutoff=0.5)
+    by_stem: dict[str, list[str]] = {}  # endings are alike in files that have nothing in common
+    for name in names:
+        by_stem.setdefault(name.partition(".")[0].casefold(), []).append(name)
+    stems = difflib.get_close_matches(path.name.partition(".")[0].casefold(), by_stem, n=4)
+    near = [name for stem in stems for name in by_stem[stem]][:4]
     if near:
         return f"did you mean {' or '.join(map(repr, near))}?"
     shown = ", ".join(names[:8])
@@ -286,8 +290,10 @@ def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
         )
     for option in how.options:
         if option not in format.options:
+            wanted = list_readable_formats(option)
             raise InputError(
-                f"the option {option!r} is for {join_titles(list_readable_formats(option))}, and this is {format.title}"
+                f"the option {option!r} is for {join_titles(wanted)}, and this is {format.title}"
+                f"{_suggest_conversion(option, wanted, format)}"
             )
     options = dict(how.options)
     if "package_dirs" in format.options:
@@ -303,6 +309,17 @@ def _read_text(text: str | bytes, name: str, how: _How) -> Mechanism:
         )
     with pause_garbage_collection(len(text) >> 8):
         return format.read(text, name, **options)
+
+
+def _suggest_conversion(option: str, wanted: Iterable[Format], given: Format) -> str:
+    """Suggest to save a model in a format whose reader has the option; '' if that is impossible."""
+    written = next((f for f in wanted if f.write is not None), None)
+    if given.write is None or written is None:
+        return ""
+    return (
+        f"; save it as {written.title} first, kempe.read(...).save('robot{written.endings[0]}'), "
+        "and load that"
+    )
 
 
 def _read_srdf_source(source: str | Path | bytes, how: _How) -> Any:

@@ -24,7 +24,7 @@ from kempe.arrays import (
     unwrap_scalar,
     warn_of_degrees,
 )
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError, format_value
 from kempe.joints import P, R
 from kempe.late import import_late_member
 from kempe.model.coordinates import (
@@ -95,6 +95,10 @@ def _read_configuration(
         if array.ndim > 1 or max(q) > MOST_TURNED or min(q) < -MOST_TURNED:
             warn_of_degrees_in_q(system, array, word)
     else:
+        if isinstance(q, str):
+            raise InputError(
+                f"{word} is {format_value(q)}; it must be {WANTED}; a posture is system.q({format_value(q)})"
+            )
         if q.__class__ is not np.ndarray or q.dtype.names:
             coordinates = read_mapping(q)
             if coordinates is not None:

@@ -299,6 +299,16 @@ def describe_largest_gap(system: Model, q: Any) -> str:
     return f"{name!r} is open by {error[worst]:.3g}{unit}"
 
 
+def list_outside_limits(system: Model, q: Array) -> list[str]:
+    """Return the names of the coordinates of q (nq,) that are outside their limits."""
+    limits = [limit.value for limit in list_limits(system).values()]
+    return [
+        name
+        for name, x, (low, high) in zip(system.coordinate_names, q.tolist(), limits, strict=True)
+        if not low <= x <= high
+    ]
+
+
 # ---- poses
 
 COLUMNS: Mapping[str, str] = {name: "m" for name in "xyz"} | {

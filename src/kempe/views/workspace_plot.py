@@ -9,9 +9,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.colors import LogNorm, Normalize
-from matplotlib.patches import PathPatch
-from matplotlib.ticker import MaxNLocator
 
 from kempe.arguments import numbers
 from kempe.errors import InputError, UnsupportedError
@@ -106,6 +103,8 @@ def _draw_slice(
     workspace: Workspace, ax: Axes, counts: np.ndarray, right: int, up: int, most: int
 ) -> None:
     """Draw the counts of one slice, and the outline of its cells with samples."""
+    from matplotlib.colors import LogNorm, Normalize
+
     grid = workspace.map.grid
     names = workspace.map.grid.axes
     shown = np.ma.masked_equal(counts, 0).T
@@ -163,6 +162,8 @@ def _add_outer_cells(middles: Array, size: float) -> Array:
 
 def _add_colour_bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
     """Add a colour bar, unless cells are only reached or not."""
+    from matplotlib.ticker import MaxNLocator
+
     workspace_kind = workspace.workspace_kind
     shown = first.images[0]
     low, high = shown.get_clim()
@@ -181,6 +182,8 @@ def _add_colour_bar(workspace: Workspace, first: Axes, axes: list[Any]) -> None:
 
 def plot_planar(workspace: PlanarWorkspace, ax: Axes | None = None) -> Axes:
     """Draw the regions of a planar workspace, darker with more solutions, and its boundary."""
+    from matplotlib.patches import PathPatch
+
     own = ax is None
     ax = (
         page.make_figure(4.6, 4.6).add_axes((0.16, 0.12, 0.8, 0.78))

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from kempe.model.model import Model
 
 FORMAT = "kempe workspace 2"
+ANSWERS = "kempe rows "
+"""How the formats of `kempe.workspace.map_file` begin, which holds answers to rows of a file."""
 CHUNK = 64
 """Cells of a chunk along each axis, at most."""
 AFTER = 2
@@ -155,6 +157,11 @@ def read_map(path: Path) -> tuple[SampleCounts, str | None]:
     if not path.exists():
         raise InputError(f"{path}: there is no such map")
     if (format := find_format(path)) != FORMAT:
+        if (format or "").startswith(ANSWERS):
+            raise InputError(
+                f"{path}: it holds answers of `kempe map`, no workspace; open it with "
+                "xarray.open_zarr"
+            )
         other = "it was written by another version of Kempe" if format else "this is no map"
         raise InputError(f"{path}: {other} ({FORMAT!r} is not written in its zarr.json)")
     try:
