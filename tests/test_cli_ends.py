@@ -56,6 +56,19 @@ def run(words: list[str]) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, capture_output=True, text=True, timeout=300)
 
 
+# ---- an output that nobody reads
+
+
+@pytest.mark.parametrize("words", ["fk puma560", "fk puma560 --json", "fk --help", "--version"])
+def test_a_command_ends_quietly_where_its_reader_has_ended(words):
+    """As `kempe ... | head -1`: 128 + SIGPIPE, as other programs."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command(*words.split()), stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, b"")
+
+
 # ---- Ctrl-C
 
 

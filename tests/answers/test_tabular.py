@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command import Result
 
 import kempe
 from kempe.answers.tables import Tabular, read_pose_columns
@@ -110,6 +111,39 @@ def test_targets_are_saved_in_degrees_and_errors_in_radians(tmp_path: Path):
     shown = np.loadtxt(file, delimiter=",", skiprows=1)
     angles = [n in answer.system.coordinate_names or n[-3:] in ("oll", "tch", "yaw") for n in names]
     np.testing.assert_allclose(shown, np.where(angles, np.degrees(columns), columns), rtol=1e-14)
+
+
+def test_degrees_in_a_file_are_read_as_degrees(tmp_path: Path):
+    """The header says so: with and without --deg, as configurations, targets and known values."""
+    arm = kempe.load("ur5")
+    answer = arm.ik(targets(arm, 3), "tool")
+    degrees = answer.save(tmp_path / "degrees.csv", degrees=True)
+    radians = answer.save(tmp_path / "radians.csv")
+    heads = degrees.read_text().partition("\n")[0].split(",")
+    assert [head.removesuffix(" [deg]") for head in heads] == answer.table()[0]
+    assert "target_yaw [deg]" in heads and "orientation_error" in heads
+    outputs = [
+        [
+            pose["matrix"]
+            for pose in Result("fk", "ur5", "--frame", "tool", "--json", *words).json()[
+                "configurations"
+            ]
+        ]
+        for words in (["--q", radians], ["--q", degrees], ["--q", degrees, "--deg"])
+    ]
+    np.testing.assert_allclose(outputs[0], arm.fk(answer.q, "tool"), atol=1e-9)
+    np.testing.assert_allclose(outputs[1], outputs[0], atol=1e-9)
+    np.testing.assert_allclose(outputs[2], outputs[0], atol=1e-9)
+    poses = tmp_path / "poses.csv"
+    Result("fk", "ur5", "--frame", "tool", "--deg", "--q", degrees, "-o", poses)
+    assert poses.read_text().startswith("x,y,z,roll [deg],pitch [deg],yaw [deg]\n")
+    for more in ([], ["--deg"]):
+        found = Result("ik", "ur5", "--frame", "tool", "--target", poses, "--json", *more).json()
+        assert found["success"] == [True] * 3
+    zarr = pytest.importorskip("zarr")
+    kempe.map_file(arm, "fk", degrees, tmp_path / "out.zarr", "tool", columns=arm.coordinate_names)
+    group = zarr.open_group(str(tmp_path / "out.zarr"), mode="r")
+    np.testing.assert_allclose(group["pose"][:], arm.fk(answer.q, "tool"), atol=1e-12)
 
 
 def test_a_coordinate_keeps_its_column():

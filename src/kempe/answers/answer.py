@@ -219,7 +219,8 @@ class Answer(Result, Tabular):
 
     def _list_dataframe_rows(self, degrees: bool) -> tuple[Sequence[str], Any]:
         """Return the columns of the `table`, with angles in radians or degrees; masks are bools."""
-        names, columns = convert_columns(*self.table(), self._list_units(), degrees)
+        names, columns = self.table()
+        _, columns = convert_columns(names, columns, self._list_units(), degrees)
         kinds = {name: x.dtype for name, x in self._list_outcomes().items()}
         for name in self.system.coordinate_names:
             kinds.pop(name, None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -38,7 +39,8 @@ class Tabular:
         it holds the configurations, without success, errors and targets.
 
         Numbers are written in full: what is read again is equal. With `degrees` the angles of
-        configurations and targets are degrees; errors stay in radians. Errors: `InputError` for
+        configurations and targets are degrees, and the columns of a .csv file are called
+        "q1 [deg]", which is read again as degrees; errors stay in radians. Errors: `InputError` for
         other endings, and where the file cannot be written.
         """
         plain = check_table_path(path).suffix.lower() == ".npy"
@@ -61,9 +63,17 @@ class Tabular:
 def convert_columns(
     names: list[str], columns: Array, units: Mapping[str, str], degrees: bool
 ) -> tuple[list[str], Array]:
-    """Convert the columns (n, k) with unit "rad" to degrees if that is requested."""
+    """Convert the columns (n, k) with unit "rad" to degrees if that is requested.
+
+    Their names then say so: "q1 [deg]".
+    """
+    if not degrees:
+        return names, columns
     kinds = [units.get(name, "") for name in names]
-    return names, ByName(names, kinds, columns).convert_units(degrees) if degrees else columns
+    named = [
+        f"{name} [deg]" if kind == "rad" else name for name, kind in zip(names, kinds, strict=True)
+    ]
+    return named, ByName(names, kinds, columns).convert_units(degrees)
 
 
 def write_table(
@@ -127,6 +137,15 @@ def parse_header(line: str) -> list[str] | None:
     """Return the column names in the first line of a .csv file; None if the line has numbers."""
     names = [_strip_quotes(cell) for cell in line.split(",")]
     return None if any(map(is_number, names)) else names
+
+
+_UNIT = re.compile(r"(.*\S)\s*\[(deg|rad)\]")
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Split the name of a column, such as "q1 [deg]", into name and unit of angles, '' without one."""
+    found = _UNIT.fullmatch(name)
+    return (found[1], found[2]) if found else (name, "")
 
 
 def _strip_quotes(cell: str) -> str:

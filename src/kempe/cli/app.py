@@ -2,7 +2,8 @@
 
 Exit codes: 0 the answer is complete; 1 it is not (no solution found, problems in a file, rows that
 are no numbers, a time limit); 2 the question could not be posed (wrong usage, unknown name, a file
-that cannot be read); 130 Ctrl-C, where files that were requested hold what was done.
+that cannot be read); 130 Ctrl-C, where files that were requested hold what was done;
+141 the program that read the output has ended.
 """
 
 from __future__ import annotations

@@ -74,14 +74,17 @@ def check_input_file(path: Path) -> None:
         raise InputError(f"{path}: there is no such file")
 
 
-def read_table(path: Path, matrices: bool = False) -> tuple[list[str] | None, Array]:
+def read_table(
+    path: Path, degrees: bool = False, matrices: bool = False
+) -> tuple[list[str] | None, Array]:
     """Return rows (n, k) of a .csv or .npy file, and the names in the first line of a .csv file.
 
-    A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file
+    Angles of columns that state their unit, such as "q1 [deg]", are in degrees or radians as
+    `degrees` says. A .npy may hold (n, 4, 4) matrices where `matrices` allows. Errors: `InputError` with the file
     and the line.
     """
     check_input_file(path)
-    source = open_rows(path)
+    source = open_rows(path, degrees=degrees)
     if not source.n:
         raise InputError(f"{path}: it holds no rows of numbers")
     if len(source.tail) > 1 and not (matrices and source.tail == (4, 4)):
@@ -125,18 +128,18 @@ def parse_known_values(
     units = configurations.list_units(system)
     given: dict[str, Any] = {}
     for word in words:
-        for name, value in _read_values(system, word, frames).items():
+        for name, value in _read_values(system, word, degrees, frames).items():
             if name in given:
                 raise InputError(f"{name!r} is given twice")
             given[name] = value * DEGREE if degrees and units.get(name) == "rad" else value
     return given if frames else dict(configurations.compute_source_values(system, given))
 
 
-def _read_values(system: System, word: str, frames: bool) -> dict[str, Any]:
+def _read_values(system: System, word: str, degrees: bool, frames: bool) -> dict[str, Any]:
     """Return the values that a word gives: of a coordinate, of a frame, or the columns of a file."""
     name, sign, text = (part.strip() for part in word.partition("="))
     if not sign and is_table_file(word):
-        names, rows = read_table(path := expand_path(word))
+        names, rows = read_table(path := expand_path(word), degrees)
         if names is None:
             raise InputError(f"{path}: its first line must name the known coordinates")
         if len(set(names)) < len(names):
@@ -180,7 +183,7 @@ def _parse_values(system: System, text: str, degrees: bool) -> Array | dict[str,
     these are not read.
     """
     if is_table_file(text):
-        names, rows = read_table(expand_path(text))
+        names, rows = read_table(expand_path(text), degrees)
         if names is not None:
             given = parse_known_values(system, [text], degrees, frames=True)
             given = configurations.drop_other_columns(system, given)
@@ -300,7 +303,7 @@ def read_target(system: System, text: str, degrees: bool = False) -> tuple[Array
     hold (n, 4, 4) matrices.
     """
     if is_table_file(text):
-        names, rows = read_table(expand_path(text), matrices=True)
+        names, rows = read_table(expand_path(text), degrees, matrices=True)
     else:
         names = None
         rows = np.array(parse_numbers(text, "target"))

@@ -226,7 +226,7 @@ class _TaskReader:
         if key == "q":
             return arguments.read_configurations(self.system, str(path), None, self.degrees)
         turned = self.choose_conversion(kind, key)
-        _, table = arguments.read_table(path, matrices=turned is not None)
+        _, table = arguments.read_table(path, self.degrees, turned is not None)
         if turned is not None:
             return turned(table)
         single = table.shape[1] == 1 and key in ("radius", "value", "margin", "at_least", "at_most")

@@ -34,8 +34,9 @@ COMPLETE = 0
 INCOMPLETE = 1
 REFUSED = 2
 INTERRUPTED = 130
+UNREAD = 141
 """Exit codes: complete answer; no solution or problems found; question that could not be posed;
-Ctrl-C."""
+Ctrl-C; the program that read the output has ended, as `head` does (128 + SIGPIPE)."""
 
 NOTE_LIMIT = 10
 """Notes about one file that are shown."""
@@ -80,9 +81,22 @@ class Commands(TyperGroup):
                 code = REFUSED
             except typer.Abort:
                 code = INTERRUPTED
+            except SystemExit:  # only where writing failed: rich and click then end with 1
+                code = UNREAD
         if standalone_mode:
-            sys.exit(code or COMPLETE)
+            code = code or COMPLETE
+            sys.exit(code if flush_output() else UNREAD)
         return code
+
+
+def flush_output() -> bool:
+    """Write what is buffered to standard output; return whether something still reads it."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:  # Python would say so when it ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return False
+    return True
 
 
 def expand_home(argument: str) -> str:

@@ -675,7 +675,7 @@ def map_file(
         Options of the verb: form, dtype; task, start, method, tolerance, limits, fixed; branch,
         prefer.
     degrees
-        Angles are in degrees.
+        Angles are in degrees. Columns of a .csv file called "q1 [deg]" are in degrees anyway.
     client
         A `distributed.Client` or the address of a scheduler: a Dask cluster does the work.
     budget
@@ -710,10 +710,10 @@ def map_file(
     own = isinstance(client, str)
     clock = TimeLimit(spend.time_limit)
     threads = choose_thread_count(spend.threads)
-    rows = open_rows(source, None if columns is None else read_names(columns, "columns"))
-    job = make_job(
-        system, verb, frame, options, rows, read_flag(degrees, "degrees"), draw_seed(spend.rng)
-    )
+    degrees = read_flag(degrees, "degrees")
+    named = None if columns is None else read_names(columns, "columns")
+    rows = open_rows(source, named, degrees)
+    job = make_job(system, verb, frame, options, rows, degrees, draw_seed(spend.rng))
     store = RowStore(expand_path(path), job, rows, _choose_chunk_size(job, rows))
     client = None if client is None else connect_client(client)
     broken = None

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from kempe.answers.tables import parse_header, parse_rows
+from kempe.answers.tables import parse_header, parse_rows, split_unit
 from kempe.arguments import check_name
 from kempe.arrays import KINDS
 from kempe.description.source import expand_path
 from kempe.errors import UNREADABLE, DamagedError, InputError, KempeError, MissingExtraError
 from kempe.spatial import Array
-from kempe.words import choose_verb, format_count, join_words
+from kempe.words import DEGREE, choose_verb, format_count, join_words
 from kempe.workspace.store import import_zarr
 
 BLOCK_ROWS = 2**16
@@ -30,7 +30,8 @@ class RowSource:
     """The rows of a file: the `edges` of its blocks, a function that reads the k-th `block`. Also
     return the columns.
 
-    A row has a shape `tail`; where that is one axis its columns may have `names`.
+    A row has a shape `tail`; where that is one axis its columns may have `names`, and `units` "deg"
+    or "rad" where the file states them.
     """
 
     def __init__(
@@ -40,6 +41,7 @@ class RowSource:
         tail: tuple[int, ...],
         names: tuple[str, ...] | None,
         block: Callable[[int], Any],
+        units: Sequence[str] = (),
     ):
         self.path = path
         self.edges = np.asarray(edges)
@@ -48,6 +50,14 @@ class RowSource:
         self._block = block
         self.n = int(self.edges[-1])
         self._held: tuple[int, Any] = -1, None
+        self._units = units
+        self._scale: Any = 1.0
+
+    def choose_angles(self, degrees: bool) -> None:
+        """Choose whether angles whose unit the file states are read in degrees or in radians."""
+        other, factor = ("rad", 1.0 / DEGREE) if degrees else ("deg", DEGREE)
+        if other in self._units:
+            self._scale = np.array([factor if unit == other else 1.0 for unit in self._units])
 
     @property
     def row_bytes(self) -> int:
@@ -88,11 +98,16 @@ class RowSource:
                 where = f"rows {low} to {int(self.edges[k + 1])}"
                 raise DamagedError(f"{self.path}: {where} cannot be read: {error}") from error
             at = stop
-        return out
+        return out * self._scale if np.ndim(self._scale) else out
 
 
-def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSource:
+def open_rows(
+    path: str | Path, columns: Sequence[str] | None = None, degrees: bool = False
+) -> RowSource:
     """Open the rows of a file. `columns` selects columns by name, or names those without names.
+
+    Columns of a .csv file whose names state a unit, such as "q1 [deg]", are called "q1", and are
+    read in degrees or radians as `degrees` says.
 
     Errors: `InputError` for what is no such file, `UnknownNameError` for columns,
     `MissingExtraError`.
@@ -122,6 +137,7 @@ def open_rows(path: str | Path, columns: Sequence[str] | None = None) -> RowSour
             )
             raise InputError(f"{path}: a row is of shape {source.tail}, and {named}")
         source.names = tuple(columns)
+    source.choose_angles(degrees)
     return source
 
 
@@ -303,6 +319,9 @@ def _open_csv(path: Path, columns: Sequence[str] | None) -> RowSource:
                 places += [(at, number)] * (n % BLOCK_ROWS == 0)
                 n += 1
             at += len(line)
+    split = None if names is None else [split_unit(name) for name in names]
+    names = None if split is None else [name for name, _ in split]
+    units = [unit for _, unit in split or ()]
     chosen = None if names is None else _choose_columns(path, names, columns)
     places.append((at, 0))
     at_name = {name: i for i, name in enumerate(names or ())}
@@ -322,6 +341,7 @@ def _open_csv(path: Path, columns: Sequence[str] | None) -> RowSource:
         (width if chosen is None else len(chosen),),
         chosen,
         read_block,
+        [units[at_name[name]] for name in chosen or ()],
     )
 
 
