@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from command import Result
 
 import kempe
 from kempe.description.length_units import convert_unit
@@ -253,3 +254,19 @@ def test_pictures_name_the_unit():
     cells = list_picture_texts(arm.workspace("tip", n=1000).plot())
     for texts in (drawn, curves, spatial, cells):
         assert not [text for text in texts if METRES.search(text)]
+
+
+def test_a_file_is_read_in_a_unit(tmp_path):
+    """In Python and on the command line: lengths go in and come out in it."""
+    robot = kempe.load("ur5", unit="mm")
+    X = kempe.load("ur5").fk([0.1] * 6, "tool")
+    np.testing.assert_allclose(robot.fk([0.1] * 6, "tool")[:3, 3], 1e3 * X[:3, 3], rtol=1e-12)
+    assert kempe.read("ur5", unit="in").unit == "in" and kempe.load("ur5").unit == "m"
+    words = ("ik", "ur5", "--frame", "tool", "--unit", "mm", "--json")
+    answer = Result(*words, "--task", "position", "--target", "400,200,300").json()
+    reached = kempe.load("ur5").fk(list(answer["q"].values()), "tool")
+    np.testing.assert_allclose(reached[:3, 3], [0.4, 0.2, 0.3], atol=1e-6)
+    with pytest.raises(KempeError, match="unit is 'feet'"):
+        kempe.load("ur5", unit="feet")
+    kempe.read("ur5").save(tmp_path / "ur5.toml")
+    assert Result("check", tmp_path / "ur5.toml", "--unit", "mm").code == 0

@@ -71,6 +71,7 @@ def load(
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
+    unit: str | None = None,
 ) -> System:
     """Load a `System` from a file, a text, or a shipped model.
 
@@ -98,6 +99,9 @@ def load(
         negative limits of velocity and effort, count as none (default: False: they are errors).
     srdf
         File of the SRDF of a URDF, with groups, postures, end effectors and how the base moves.
+    unit
+        Unit of length to which all is converted: "m", "cm", "mm" or "in" (default: the unit of the
+        file, which is the metre but for TOML that declares another).
 
     Returns
     -------
@@ -135,6 +139,7 @@ def load(
             xacro=xacro,
             lenient_limits=lenient_limits,
             srdf=srdf,
+            unit=unit,
         ).build()
 
 
@@ -149,6 +154,7 @@ def read(
     xacro: bool | Mapping[str, str | float] = False,
     lenient_limits: bool = False,
     srdf: str | Path | None = None,
+    unit: str | None = None,
 ) -> Mechanism:
     """Read a `Mechanism` from a file, a text, or a shipped model, to change or write it.
 
@@ -176,6 +182,9 @@ def read(
         negative limits of velocity and effort, count as none (default: False: they are errors).
     srdf
         File of the SRDF of a URDF, with groups, postures, end effectors and how the base moves.
+    unit
+        Unit of length to which all is converted: "m", "cm", "mm" or "in" (default: the unit of the
+        file, which is the metre but for TOML that declares another).
 
     Returns
     -------
@@ -202,7 +211,7 @@ def read(
     """
     from kempe.description.read import read_mechanism
 
-    return read_mechanism(
+    mechanism = read_mechanism(
         source,
         format=format,
         base=base,
@@ -213,6 +222,11 @@ def read(
         lenient_limits=lenient_limits,
         srdf=srdf,
     )
+    if unit is None:
+        return mechanism
+    from kempe.description.length_units import convert_unit
+
+    return convert_unit(mechanism, unit)
 
 
 def __dir__() -> list[str]:

@@ -77,6 +77,7 @@ def _make_reading(
     xacro_arg: options.XacroArguments = None,
     lenient_limits: options.Lenient = False,
     srdf: options.SrdfFile = None,
+    unit: options.LengthUnit = None,
 ) -> Reading:
     """Return the options of the command line that say how FILE is read."""
     from kempe.cli.arguments import parse_assignments
@@ -89,6 +90,7 @@ def _make_reading(
         "xacro": parse_assignments(xacro_arg, "--xacro-arg") if xacro_arg else xacro,
         "lenient_limits": lenient_limits,
         "srdf": srdf,
+        "unit": unit,
     }
     return Reading((name, value) for name, value in given.items() if value)
 

@@ -57,13 +57,15 @@ _LENIENT = (
 Lenient = Annotated[bool, make_option("--lenient-limits", _LENIENT, None, _READ)]
 _SRDF = "SRDF of the robot: groups, postures, end effectors, how the base moves."
 SrdfFile = Annotated[Path | None, make_option("--srdf", _SRDF, "FILE", _READ)]
+_UNIT = "Unit of all lengths, read and printed: m, cm, mm or in (default: that of FILE)."
+LengthUnit = Annotated[str | None, make_option("--unit", _UNIT, "UNIT", _READ)]
 
 
 # ---- how a command answers
 
 Json = Annotated[bool, make_option("--json", "Print JSON.")]
 Deg = Annotated[
-    bool, make_option("--deg", "Angles are degrees, read and printed; lengths stay metres.")
+    bool, make_option("--deg", "Angles are degrees, read and printed; for lengths see --unit.")
 ]
 Out = Annotated[
     Path | None, make_option("-o,--out", "Write the results to a .csv or .npy file.", "FILE")
