@@ -38,6 +38,7 @@ from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.length_bounds import list_sliding_coordinates
 from kempe.spatial import Array
 from kempe.status import Status
+from kempe.words import join_words
 
 if TYPE_CHECKING:
     from kempe.equations.tasks import Task
@@ -168,9 +169,14 @@ def _is_within_tolerance(problem: Demands, task: Task, error: Array) -> bool:
 
 
 def _describe_violations(problem: Demands, q: Array) -> str:
-    """Describe declared one-sided constraints that are violated at q (nq,), and by how much."""
-    which = ", ".join(v.text for v in problem.packed.one_sided.list_violations(q))
-    return f"violating {which}" if which else ""
+    """Describe declared one-sided constraints and limits that are violated at q (nq,)."""
+    rows = problem.packed.one_sided
+    which = ", ".join(v.text for v in rows.list_violations(q))
+    if which:
+        return f"violating {which}"
+    far = rows.compute_excess(q)
+    over = [repr(name) for name, x in zip(rows.names, far.tolist(), strict=True) if x]
+    return f"outside the limits of {join_words(over)}" if over else ""
 
 
 def _solve_tasks(
