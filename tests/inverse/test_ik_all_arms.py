@@ -567,3 +567,13 @@ def test_refusals():
     ball = kempe.load("joint_spherical")
     with pytest.raises(UnsupportedError, match="quaternion"):
         ball.ik_all(np.eye(4), ball.body_names[-1])
+
+
+def test_a_family_of_a_redundant_arm_is_no_isolated_solution():
+    """Joints 1 and 3 of a Panda with joint 2 at zero turn against each other."""
+    panda = kempe.load("panda")
+    X = panda.fk(panda.mid, "panda_hand_tcp")
+    found = panda.ik_all(X, "panda_hand_tcp").status
+    held = panda.ik_all(X, "panda_hand_tcp", fixed={"panda_joint7": 0.0}).status
+    assert found.startswith("6 solutions for what is held") and held.startswith("6 solutions")
+    assert "and one of a continuous family" in found and "a family with one freedom" in held

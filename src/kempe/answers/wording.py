@@ -520,11 +520,12 @@ def describe_solutions(
     beyond: str,
     families: Sequence[tuple[int, str]],
     ground: str,
+    sampled: int = 0,
 ) -> str:
     """Describe how many isolated solutions and families there are, and by which method.
 
     `families` are freedoms and motions; `beyond` says which limit the least of them violates if
-    none is `inside`.
+    none is `inside`; `sampled` are the solutions of families that are not known further.
     """
     text = f"{count} solution{'' if count == 1 else 's'}" if count else "no isolated solution"
     if count:
@@ -537,6 +538,8 @@ def describe_solutions(
         text += f" ({beyond})" if beyond else ""
     if families:
         return f"{text}, and {_describe_families(families)}"
+    if sampled:
+        text += f", and {'one' if sampled == 1 else sampled} of a continuous family"
     return f"{text}: {ground}" if method == "closed form" else text
 
 

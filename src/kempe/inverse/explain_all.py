@@ -128,6 +128,11 @@ def _describe_found(solutions: Solutions, index: int) -> str:
     unknown: tuple[list[Family], np.ndarray] = (none, np.full(len(solutions._used_rows.T), -1))
     families, member = unknown if spare and not deficient else solutions._families[index]
     alone = solutions._used_rows[index] & (member < 0)
+    sampled = 0
+    if spare:  # what belongs to a family is no isolated solution
+        isolated = alone & (solutions._code[index] >= A.MULTIPLICITY_UNIT)
+        sampled = int(alone.sum() - isolated.sum())
+        alone = isolated
     code = solutions._code[index, alone]
     inside = int((code % 2).sum())
     times = code // int(A.MULTIPLICITY_UNIT)
@@ -143,6 +148,7 @@ def _describe_found(solutions: Solutions, index: int) -> str:
         else "",
         [(f.freedoms, f.text) for f in families],
         _explain_closed_form(plan),
+        sampled,
     )
     if not spare or deficient and not len(code):
         return text
