@@ -45,6 +45,7 @@ from kempe.forward.fk import fk, jacobian
 from kempe.joints import P
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import (
+    compute_free_reach,
     find_home,
     list_sources,
     read_start,
@@ -457,18 +458,20 @@ def _choose_frames(system: Model, frame: str | None) -> tuple[str, ...]:
 def sample_starts(s: ModesSearch, n: int) -> Array:
     """Sample starts (n, nq), all inside the limits if these count, else every other one.
 
-    Angles run over their period, free lengths up to two characteristic ones; in the other half of
-    the starts angles run over their period, too, and lengths beyond their limits.
+    Angles run over their period, free screws over a turn, free lengths up to two characteristic
+    ones; in the other half of the starts angles run over their period, too, and screws and lengths
+    beyond their limits.
     """
     system = s.system
     metric = s.clusters.metric
     limits: Array = system.structure.limits
     turning = system.structure.coordinates.turning
     layout = system.structure.layout
+    far = np.where(system.structure.coordinates.angular, np.pi, 2.0 * metric.length)
     q = sample_configurations(system, s.rng, n)
     endless = ~np.isfinite(limits).all(axis=-1) & ~turning
     slides = endless[layout.vector_v]
-    q[:, layout.vector_q[slides]] *= 2.0 * metric.length
+    q[:, layout.vector_q[slides]] *= (far / compute_free_reach(system))[layout.vector_v[slides]]
     geared = (metric.period > 6.3) & np.isinf(limits).all(axis=-1)
     q[:, layout.vector_q[geared[layout.vector_v]]] *= metric.period[geared] / (2.0 * np.pi)
     if s.limits:
@@ -476,7 +479,7 @@ def sample_starts(s: ModesSearch, n: int) -> Array:
     bounded = np.flatnonzero(np.any(np.isfinite(limits), axis=-1)[layout.vector_v])
     v = layout.vector_v[bounded]
     at = layout.vector_q[bounded]
-    reach = np.where(turning, np.maximum(metric.period, 2.0 * np.pi) / 2.0, 2.0 * metric.length)
+    reach = np.where(turning, np.maximum(metric.period, 2.0 * np.pi) / 2.0, far)
     beyond = np.where(np.isfinite(limits) & ~turning[:, None], limits, 0.0)
     low = np.minimum(beyond[:, 0], 0.0) - reach
     high = np.maximum(beyond[:, 1], 0.0) + reach

@@ -43,8 +43,7 @@ class Metric:
     def __init__(self, system: Model):
         self.system = system
         self.length = compute_characteristic_length(system)
-        self.scale = np.where(system.structure.coordinates.turning, 1.0, self.length)
-        self.scale[(system.structure.layout.quaternion_v[:, None] + np.arange(3)).ravel()] = 1.0
+        self.scale = np.where(system.structure.coordinates.angular, 1.0, self.length)
         self.period = _compute_periods(system)
         self._weights = np.random.default_rng(0).uniform(0.5, 1.0, size=(system.nq + 4, 4))
         self.steepest = float(

@@ -92,14 +92,11 @@ class Closure(Curve):
         self.tree = remove_cut_marks(system)
         self._held = np.array(self.held, dtype=np.int64)
         layout = system.structure.layout
-        turning = system.structure.coordinates.turning
         length = closure_rows.compute_characteristic_length(system)
         self.rounding = (
             4.0 * np.finfo(float).eps * float(np.linalg.norm(choose_origin(system))) / length
         )
-        self.unit = np.where(turning, 1.0, length)
-        for iv in layout.quaternion_v:
-            self.unit[iv : iv + 3] = 1.0
+        self.unit = np.where(system.structure.coordinates.angular, 1.0, length)
         self.place = np.full(system.nv, -1, dtype=np.int64)
         self.place[layout.vector_v] = layout.vector_q
         self.n = system.nv

@@ -240,7 +240,7 @@ class BoundStep:
         """Singular values to be damped: metres, so less where the whole chain is shorter than
         one."""
         length = compute_characteristic_length(system)
-        turns = system.structure.coordinates.turning[chain.v_index]
+        turns = system.structure.coordinates.angular[chain.v_index]
         slides = [k in place and not turns[k] for k in range(n)]
         self.floats = np.concatenate(
             [
@@ -780,8 +780,7 @@ def list_speed_limits(system: Model) -> Array:
     table = remove_cut_marks(system).structure.table
     given = system.structure.velocity_limits
     sliding = from_metres(SLIDING, system.unit)
-    usual = np.where(system.structure.coordinates.turning, TURNING, sliding)
-    usual[system.structure.layout.quaternion_v[:, None] + np.arange(3)] = TURNING
+    usual = np.where(system.structure.coordinates.angular, TURNING, sliding)
     for kind, v, m in zip(
         table.kind.tolist(), table.iv.tolist(), table.multiplier.tolist(), strict=True
     ):

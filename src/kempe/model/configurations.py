@@ -39,6 +39,7 @@ from kempe.model.model import keep_answers
 from kempe.model.structural_order import make_sort_key
 from kempe.report import Table
 from kempe.spatial import Array
+from kempe.units import from_metres
 from kempe.values import find_angle_names
 from kempe.words import ByName, Quantity, format_count
 
@@ -471,6 +472,16 @@ def sample_configurations(
     return q
 
 
+def compute_free_reach(system: Model) -> Array:
+    """Compute how far from zero coordinates (nv,) without limits are sampled.
+
+    That is half a turn, 1 rad for screws, and 1 m for lengths.
+    """
+    c = system.structure.coordinates
+    straight = np.where(c.angular, 1.0, from_metres(1.0, system.unit))
+    return np.where(c.turning, math.pi, straight)
+
+
 def compute_sampling_box(system: Model) -> tuple[Array, Array]:
     """Return finite lower and upper bounds (nv,) within which coordinates are sampled.
 
@@ -478,7 +489,7 @@ def compute_sampling_box(system: Model) -> tuple[Array, Array]:
     """
     lower = system.lower
     upper = system.upper
-    reach = np.where(system.structure.coordinates.turning, math.pi, 1.0)
+    reach = compute_free_reach(system)
     with np.errstate(invalid="ignore"):
         low = np.where(
             np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2.0 * reach, -reach)

@@ -154,6 +154,9 @@ class Coordinates:
     upper: np.ndarray
     velocity: np.ndarray
     turning: np.ndarray
+    """Which velocity coordinates (nv,) are angles that a turn brings back."""
+    angular: np.ndarray
+    """Which of them are in radians: those, the turns of balls, and screws."""
 
     @cached_property
     def limits(self) -> np.ndarray:
@@ -212,10 +215,12 @@ def make_coordinates(mechanism: Mechanism) -> Coordinates:
     velocity_names: list[str] = []
     first: dict[str, tuple[int, int]] = {}
     triples: list[tuple[int, int, int]] = []
+    angles: list[int] = []
     for joint in mechanism.joints.values():
         particle = mechanism.bodies[joint.child].particle
         local, primitives = joint.type.layout(mechanism.dim, particle)
         kinds = {p.coordinate: p.kind for p in primitives}
+        turned = {p.coordinate for p in primitives if p.kind != P}
         # a screw, or a turn that is geared down, counts as a slide: it returns only by going back
         kinds |= {
             p.coordinate: P for p in primitives if p.kind != Q and not _is_unchanged_by_turn(p, 1.0)
@@ -227,6 +232,8 @@ def make_coordinates(mechanism: Mechanism) -> Coordinates:
             size = 4 if kinds[i] == Q else 1
             first[full] = (len(every_name), len(velocity_names))
             triples.append((kinds[i], len(every_name), len(velocity_names)))
+            if i in turned:
+                angles += range(len(velocity_names), len(velocity_names) + (3 if size == 4 else 1))
             every_name += [format_coordinate_name(joint.name, n) for n in local[i : i + size]]
             velocity_names += (
                 [full]
@@ -237,7 +244,9 @@ def make_coordinates(mechanism: Mechanism) -> Coordinates:
     lower, upper, speed = _collect_limits(mechanism, velocity_names, followers)
     turning = np.zeros(len(velocity_names), dtype=bool)
     turning[[iv for kind, _, iv in triples if kind == R]] = True
-    for array in (lower, upper, speed, turning):
+    angular = np.zeros(len(velocity_names), dtype=bool)
+    angular[angles] = True
+    for array in (lower, upper, speed, turning, angular):
         array.setflags(write=False)
     return Coordinates(
         tuple(every_name),
@@ -250,6 +259,7 @@ def make_coordinates(mechanism: Mechanism) -> Coordinates:
         upper,
         speed,
         turning,
+        angular,
     )
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.description.parts import Joint
-from kempe.joints import P, Q, R
+from kempe.joints import P, Q
 from kempe.kernels.constraints import loop_layout as L
 from kempe.kernels.forward.table_layout import HEADER, NV, OUTPUT_INTS, ROW_INTS
 from kempe.model.characteristic_length import (
@@ -238,12 +238,7 @@ class LoopPlan:
         self.outputs = ints[HEADER + ROW_INTS * n :].reshape(-1, OUTPUT_INTS)
         self.held = np.array([name in held for name in system.structure.velocity_names], dtype=bool)
         c = system.structure.coordinates
-        self.turns = c.turning.copy()
-        for iv in system.structure.layout.quaternion_v:
-            self.turns[iv : iv + 3] = True
-        self.turns[self.rows[self.rows[:, 0] == R, 3]] = (
-            True  # what slides and turns together counts as a turn
-        )
+        self.turns = c.angular
         self.scale = np.where(self.turns, 1.0, length)
         self.place = np.full(system.nv, -1, dtype=np.int64)
         self.sort = np.full(system.nv, L.SLIDE, dtype=np.int64)

@@ -20,10 +20,11 @@ def compute_turn(a, b):
     """Return the rotation vector, at most pi long, from a unit quaternion to another one, in the
     axes of the first.
     """
+    d = b[0] - a[0], b[1] - a[1], b[2] - a[2], b[3] - a[3]  # exactly nothing where both are equal
     w = a[0] * b[0] + (a[1] * b[1] + a[2] * b[2] + a[3] * b[3])
-    x = a[0] * b[1] - a[1] * b[0] - (a[2] * b[3] - a[3] * b[2])
-    y = a[0] * b[2] - a[2] * b[0] - (a[3] * b[1] - a[1] * b[3])
-    z = a[0] * b[3] - a[3] * b[0] - (a[1] * b[2] - a[2] * b[1])
+    x = a[0] * d[1] - a[1] * d[0] - (a[2] * d[3] - a[3] * d[2])
+    y = a[0] * d[2] - a[2] * d[0] - (a[3] * d[1] - a[1] * d[3])
+    z = a[0] * d[3] - a[3] * d[0] - (a[1] * d[2] - a[2] * d[1])
     sine = math.sqrt(x * x + y * y + z * z)
     factor = 2.0 + sine * sine / 3.0 if sine < SMALL_SINE else 2.0 * atan2(sine, abs(w)) / sine
     factor = math.copysign(factor, w)
