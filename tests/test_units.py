@@ -139,7 +139,7 @@ def say_arm(system, k):
     yield lambda: SystemFacts(system)
     yield lambda: system.mobility()
     yield lambda: system.workspace("tip", n=2000)
-    yield lambda: system.ik_step(q, np.array([5 * k, 0, 0, 0, 0, 0]), "tip", dt=0.1)
+    yield lambda: system.ik_step(q, np.zeros(6), "tip", dt=0.1)
 
 
 def say_rods(system, k):
@@ -286,3 +286,19 @@ def test_screws_are_angles_in_any_unit():
     np.testing.assert_allclose(
         millimetres.random(0, 5), metres.random(0, 5) * [1.0, 1.0, 1.0, 1e3, 1.0]
     )
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5"])
+def test_steps_do_not_depend_on_the_unit(name):
+    """Also where joints are singular or at their speed: 1 m counts as 1 rad in any unit."""
+    metres, millimetres = kempe.load(name), kempe.load(name, unit="mm")
+    tip = metres.frame_names[-1]
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        q = metres.random(k) if k % 4 else metres.neutral.copy()
+        wanted = metres.fk(metres.random(k + 1000), tip) if k % 3 else 0.3 * rng.normal(size=6)
+        scaled = wanted.copy()
+        scaled[(slice(3), 3) if k % 3 else slice(3)] *= 1e3
+        one = metres.ik_step(q, wanted, tip, 0.004, keep_direction=bool(k % 2))
+        two = millimetres.ik_step(q, scaled, tip, 0.004, keep_direction=bool(k % 2))
+        np.testing.assert_allclose(one.q, two.q, rtol=0, atol=1e-9)

@@ -235,7 +235,11 @@ class BoundStep:
                 chain.ints,
             ]
         ).astype(np.int64)
-        reach = min((b.largest for b in chain.bounds), default=math.inf)
+        metre = from_metres(1.0, system.unit)
+        self.units = np.append(np.full(3, 1.0 / metre), np.ones(3))
+        """Weights (6,) of a twist in the system's unit that count 1 m as 1 rad."""
+        self.usual = NONE if metre == 1.0 else self.units
+        reach = min((b.largest for b in chain.bounds), default=math.inf) / metre
         self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
         """Singular values to be damped: metres, so less where the whole chain is shorter than
         one."""
@@ -245,7 +249,7 @@ class BoundStep:
         self.floats = np.concatenate(
             [
                 [self.near],
-                [1.0 / length] * 3,
+                [metre / length] * 3,
                 [1.0] * 3,
                 np.where(slides, length, 1.0),
                 system.lower[chain.v_index],
@@ -295,7 +299,16 @@ class BoundStep:
         out = self.new()
         try:
             count = self.compute(
-                self.ints, self.floats, q, wanted, speed, NONE, dt, damping, keep_direction, out
+                self.ints,
+                self.floats,
+                q,
+                wanted,
+                speed,
+                self.usual,
+                dt,
+                damping,
+                keep_direction,
+                out,
             )
         except (TypeError, ValueError):
             return None
@@ -314,7 +327,7 @@ class BoundStep:
     ) -> IkStep:
         """Take a step with arguments that were looked at."""
         out = self.new()
-        w = NONE if weights is None else np.ascontiguousarray(weights)
+        w = self.usual if weights is None else np.ascontiguousarray(weights * self.units)
         x = np.ascontiguousarray(wanted).reshape(-1)
         q = np.ascontiguousarray(q)
         count = self.compute(
