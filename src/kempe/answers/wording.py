@@ -111,8 +111,8 @@ def describe_fold(folded: Sequence[tuple[str, str]]) -> str:
 
 def suggest_near_mechanism(nearest: str, freedoms: int) -> str:
     """Suggest the mechanism nearest to one that cannot move."""
-    moves = f"with changes {nearest} it closes with {format_count(freedoms, 'freedom')}"
-    return f"; {moves}: give a larger tolerance"
+    moves = f"it would have {format_count(freedoms, 'freedom')}"
+    return f"; with dimensions changed {nearest} {moves}: tolerance= allows that"
 
 
 def describe_remaining_freedoms(
