@@ -244,6 +244,21 @@ def test_what_is_missing_is_named():
 
 
 @pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda: PUMA.random(n=100), "random has no option 'n'; there are: 'rng', 'shape'"),
+        (lambda: PUMA.q(), "q: missing a required argument: 'coordinates'"),
+        (lambda: PUMA.query(), "query: missing a required argument: 'frame'"),
+        (lambda: PUMA.with_limits(limit={}), "with_limits has no option 'limit'; did you mean"),
+        (lambda: FOUR_BAR.open_loops(joint="D"), "open_loops has no option 'joint'; did you mean"),
+    ],
+)
+def test_arguments_of_short_methods_are_named(call, said):
+    with pytest.raises(CallError, match=said):
+        call()
+
+
+@pytest.mark.parametrize(
     ("option", "said"),
     [
         ("q", "start=q"),

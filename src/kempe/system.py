@@ -484,6 +484,7 @@ class System(Model, Pictured):
         """
         return configurations.compute_mid_configuration(self)
 
+    @partial(explain_errors, fast=True)
     def random(
         self, rng: np.random.Generator | int | None = None, shape: int | tuple[int, ...] = ()
     ) -> Array:
@@ -508,6 +509,7 @@ class System(Model, Pictured):
         """
         return configurations.sample_configurations(self, rng, shape)
 
+    @partial(explain_errors, fast=True)
     def q(self, coordinates: Mapping[str, float] | str, base: ArrayLike | None = None) -> Array:
         """Make a configuration from values by coordinate name, or from a named posture.
 
@@ -528,6 +530,7 @@ class System(Model, Pictured):
         """
         return configurations.make_q(self, coordinates, base)
 
+    @partial(explain_errors, fast=True)
     def q_dict(self, q: ArrayLike) -> dict[str, float]:
         """Convert one configuration (nq,) to values by coordinate name."""
         return configurations.make_q_dict(self, q)
@@ -837,6 +840,7 @@ class System(Model, Pictured):
 
         return jacobian(self, q, frame, in_frame, threads)
 
+    @partial(explain_errors, fast=True)
     def query(
         self, frame: FrameLike, form: str | None = None, dtype: DTypeLike | None = None
     ) -> Query:
@@ -1451,6 +1455,7 @@ class System(Model, Pictured):
             budget=budget,
         )
 
+    @partial(explain_errors, fast=True)
     def idealise(
         self, tolerance: float | str | None = "measured", *, budget: Budget | None = None
     ) -> Idealised | None:
@@ -1659,6 +1664,7 @@ class System(Model, Pictured):
 
         return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance, budget=budget)
 
+    @partial(explain_errors, fast=True)
     def classify(
         self,
         q: StartLike | None = None,
@@ -2054,6 +2060,7 @@ class System(Model, Pictured):
 
         return with_parameters(self, numbers)
 
+    @partial(explain_errors, fast=True)
     def open_loops(self, joints: str | Iterable[str] | None = None) -> System:
         """Return the system without the given joints: the open chain or tree of a closed loop.
 
@@ -2082,6 +2089,7 @@ class System(Model, Pictured):
 
         return open_loops(self, joints)
 
+    @partial(explain_errors, fast=True)
     def with_limits(
         self,
         limits: Limits | None = None,
