@@ -85,7 +85,8 @@ def page() -> str:
     """The page as Markdown."""
     rows = FORMATS.values()
     formats = table(
-        ("format", "`format=`", "endings", "read", "written"), map(format_row, FORMATS, rows)
+        ("format", "`format=`", "endings, or root element", "read", "written"),
+        map(format_row, FORMATS, rows),
     )
     general = (
         f"\nA text of which neither tells the format is read as {DEFAULT.title}. Files in a format "
@@ -110,6 +111,9 @@ def page() -> str:
 def format_row(name: str, f: Format) -> list[str]:
     """Names and endings of a format, and whether it is read and written."""
     endings = ", ".join(f"`{ending}`" for ending in f.endings)
+    if f.elements:
+        roots = " or ".join(f"`<{root}>`" for root in f.elements)
+        endings += f"; others, such as `.xml`, by {roots}"
     return [
         f.title,
         f"`{name}`" if f.read else "–",

@@ -139,7 +139,7 @@ def test_info_shows_declared_constraints():
     data = Result("info", "rodded.toml", "--json").json()
     assert data["constraints"] == [dict(zip(keys, x, strict=True)) for x in (rod, guide)]
     shown = Result("info", "rodded.toml").out
-    assert "4 of all joints less 2 equations of 2 constraints: at least 2; kempe dof" in shown
+    assert "at least 2 (4 coordinates - 2 equations of 2 constraints); kempe dof finds" in shown
     assert [line.split() for line in shown.splitlines() if line.startswith(("rod ", "guide "))] == [
         "rod distance crank - slider slider and crank are 2 m apart".split(),
         "guide on_line ground - slider slider is on a line of ground".split(),

@@ -71,7 +71,7 @@ class Table(NamedTuple):
             out = [
                 f"{row[0]:>3s}  " * label
                 + ", ".join(
-                    f"{h} = {x}" for h, x in zip(self.heads[label:], row[label:], strict=True)
+                    f"{h} = {x}" for h, x in zip(self.heads[label:], row[label:], strict=True) if x
                 )
                 for row in texts
             ]

@@ -38,6 +38,14 @@ def stretched(system: System, n: int, angle: float) -> np.ndarray:
     )
 
 
+def test_an_open_chain_has_no_loops_to_close():
+    arm = kempe.load("puma560")
+    assert arm.assemble().status == "no loops to close; 6 freedoms left open"
+    assert arm.assemble({"q1": 0.3}).status == "no loops to close; 5 freedoms left open"
+    placed = arm.assemble({"tool": arm.fk(arm.mid, "tool")[:3, 3]})
+    assert placed.status.startswith("closed: residual")
+
+
 @pytest.mark.parametrize("n", [2, 10, 100, 150])
 def test_a_scissor_that_closes_folded_says_so(n):
     system = scissor(n)

@@ -22,7 +22,7 @@ from kempe.assemble.bound import LOOSEST, Assembler, get_assembler_as_given, get
 from kempe.assemble.nearest_exact import find_ideal_system, find_nearest_quickly
 from kempe.equations import closure_rows
 from kempe.forward.fk import fk
-from kempe.model.configurations import sample_configurations
+from kempe.model.configurations import has_loops, sample_configurations
 from kempe.spatial import Array
 from kempe.status import Status
 
@@ -70,7 +70,10 @@ def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
     if code == Status.BAD_INPUT:
         return "known values, places or start have numbers that are not finite or too large"
     if code == Status.SOLVED:
-        return wording.describe_closed_loops(residual, steps, starts, _describe_freedoms(bound, q))
+        left = _describe_freedoms(bound, q)
+        if has_loops(bound.system) or bound.frames or len(bound.loops.names):
+            return wording.describe_closed_loops(residual, steps, starts, left)
+        return f"no loops to close{left}"
     if code == Status.OUTSIDE_LIMITS:
         return f"a known value is outside its limits: {_describe_outside_limits(bound, q)}"
     if code == Status.OTHER_BRANCH:

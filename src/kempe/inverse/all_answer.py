@@ -688,10 +688,10 @@ class Solutions(ConfigurationList, Answer):
         rows: list[tuple[Any, ...]] = []
         for target, q, *facts in zip(targets[:ROWS], *columns, strict=False):
             first = () if self.single else (target,)
-            rows.append((*first, *self._list_quantities(q, places), _format_remark(*facts) or "-"))
+            rows.append((*first, *self._list_quantities(q, places), _format_remark(*facts)))
         heads: list[str] = [self.system.coordinate_names[i] for i in places]
         heads = [*([] if self.single else ["target"]), *heads, "note"]
-        if all(row[-1] == "-" for row in rows):
+        if not any(row[-1] for row in rows):
             rows = [row[:-1] for row in rows]
             heads = heads[:-1]
         return [Table(heads, rows, more=len(targets) - len(rows), printed=self.single)]

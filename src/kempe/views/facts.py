@@ -119,10 +119,10 @@ class SystemFacts(Report):
             format_count(n, name) for n, name in ((loops, "loop"), (declared, "constraint")) if n
         ]
         of = " and ".join(what) or "coordinates that follow several others"
+        kind = "coordinate" if system.nv == system.nq else "velocity coordinate"
         return (
-            f"{dof} of the tree; {system.nv} of all joints less "
-            f"{format_count(equations, 'equation')} of {of}: at least "
-            f"{max(system.nv - equations, 0)}; kempe dof counts them truly"
+            f"at least {max(system.nv - equations, 0)} ({format_count(system.nv, kind)} - "
+            f"{format_count(equations, 'equation')} of {of}); kempe dof finds the true number"
         )
 
     def _make_bodies_table(self) -> Table:
