@@ -309,7 +309,7 @@ def test_fk_of_a_file():
     Result("fk", "arm.urdf", "--frame", "tip", "--q", "q.npy", "--out", "X.csv", "--deg")
     table = np.genfromtxt("X.csv", delimiter=",", names=True)
     want = np.array([tip(*np.radians(row)) for row in q])
-    found = [table["x"], table["y"], np.radians(table["yaw"])]
+    found = [table["x"], table["y"], np.radians(table["yaw_deg"])]
     np.testing.assert_allclose(found, want.T, atol=1e-15)
     Result("fk", "arm.urdf", "--q", "q.npy", "--out", "all.csv")
     table = np.genfromtxt("all.csv", delimiter=",", names=True)
