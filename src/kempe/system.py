@@ -1251,8 +1251,9 @@ class System(Model, Pictured):
         The velocities minimise the weighted squared error of the twist and then their own norm, in
         radians and characteristic lengths. Directions in which the frame hardly moves are damped
         (Maciejewski and Klein, 1988). Speeds stay within `velocity_limits`, and coordinates within
-        their limits during `dt`. Other joints take over gradually where a coordinate reaches a
-        limit, so the result is slightly below that of a bounded least-squares problem.
+        their limits during `dt`; one that is outside goes no further, and may rest. Other joints
+        take over gradually where a coordinate reaches a limit, so the result is slightly below that
+        of a bounded least-squares problem.
 
         With `keep_direction` the twist is scaled by the largest factor from 0 to 1 that the limits
         allow, up to a few percent for self-motions. The factor goes to zero at a singular
