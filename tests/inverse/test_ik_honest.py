@@ -160,9 +160,7 @@ def test_wrong_input_blames_what_is_wrong():
             robot.ik(words, "tool", task=task)
     Y = X.copy()
     Y[0, 3] = 1e155
-    with pytest.raises(
-        InputError, match=r"its entry \[0, 3\] is 1e\+155; its size must be below 1e\+100"
-    ):
+    with pytest.raises(InputError, match=r"its x is 1e\+155; its size must be below 1e\+100"):
         robot.ik(Y, "tool")
     for _ in range(2):
         with pytest.raises(InputError, match=r"start\['q1'\] is (nan|inf); it must be finite"):

@@ -235,17 +235,18 @@ class BoundStep:
                 chain.ints,
             ]
         ).astype(np.int64)
-        metre = from_metres(1.0, system.unit)
+        turns = system.structure.coordinates.angular[chain.v_index]
+        slides = [k in place and not turns[k] for k in range(n)]
+        # where a joint slides, its velocity and the twist are weighed in the system's unit
+        metre = 1.0 if any(slides) else from_metres(1.0, system.unit)
         self.units = np.append(np.full(3, 1.0 / metre), np.ones(3))
-        """Weights (6,) of a twist in the system's unit that count 1 m as 1 rad."""
+        """Weights (6,) of a twist that count 1 m as 1 rad."""
         self.usual = NONE if metre == 1.0 else self.units
         reach = min((b.largest for b in chain.bounds), default=math.inf) / metre
         self.near = NEAR * min(1.0, reach) if reach > 0.0 else NEAR
         """Singular values to be damped: metres, so less where the whole chain is shorter than
         one."""
         length = compute_characteristic_length(system)
-        turns = system.structure.coordinates.angular[chain.v_index]
-        slides = [k in place and not turns[k] for k in range(n)]
         self.floats = np.concatenate(
             [
                 [self.near],
