@@ -20,7 +20,6 @@ from kempe.assemble.generic_configurations import (
     find_closed_configuration,
     sample_useful_ranks,
 )
-from kempe.constraints.base import make_rotations_along
 from kempe.first_order.control import find_driven_velocities
 from kempe.first_order.idle_freedoms import IdleFreedom, find_idle_freedoms
 from kempe.first_order.rank import compute_rank
@@ -32,7 +31,7 @@ from kempe.model.constraint_program import Tie
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
 from kempe.numerics.directions import spread_directions
-from kempe.spatial import Array, pose, unit
+from kempe.spatial import Array, align_z, pose, unit
 
 if TYPE_CHECKING:
     from kempe.equations.closure import Closure
@@ -143,8 +142,8 @@ class SpinLock:
     def list_ties(self, table: Table) -> list[Tie]:
         """List the ties that hold the spins: x in the ground is normal to y in the body."""
         ties: list[Tie] = []
-        ground = pose(make_rotations_along(self.ground, 3)[..., [2, 0, 1]])
-        turned = pose(make_rotations_along(self.along, 3)[..., [1, 2, 0]])
+        ground = pose(align_z(self.ground)[..., [2, 0, 1]])
+        turned = pose(align_z(self.along)[..., [1, 2, 0]])
         for body, A, B in zip(self._bodies, ground, turned, strict=True):
             row, X, particle = table.at[body]
             a = (-1, A, False)

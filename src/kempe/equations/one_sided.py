@@ -146,6 +146,11 @@ class OneSided:
             for k in np.flatnonzero(far)
         ]
 
+    def list_violated_names(self, q: Array) -> list[str]:
+        """List the names of the rows, limits among them, that are violated at q (nq,)."""
+        far = self.compute_excess(q)
+        return [name for name, x in zip(self.names, far.tolist(), strict=True) if x]
+
     def describe_omitted_configurations(self, beyond: np.ndarray) -> str:
         """Describe how many configurations were omitted since they violate rows, by how much.
 

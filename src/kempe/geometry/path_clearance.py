@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from kempe.answers import wording
 from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import is_sequence
 from kempe.budget import check_for_stop
@@ -63,17 +64,13 @@ class Encounter(NamedTuple):
 
     def describe_bodies(self) -> str:
         """Describe how near the bodies come."""
-        a, b = self.pair
         if not self.decided:
+            a, b = self.pair
             return (
                 f"{a!r} and {b!r} are {self.distance:.7g} m apart, where less than "
                 f"{self.at_least:.4g} m near it is not excluded"
             )
-        if self.distance < 0.0:
-            where = f"overlap by {-self.distance:.4g} m"
-        else:
-            where = f"are {self.distance:.4g} m apart"
-        return f"{a!r} and {b!r} {where} (asked: at least {self.at_least:.4g} m apart)"
+        return wording.describe_closest(self.pair, self.distance, self.at_least)
 
 
 @explain_method_errors

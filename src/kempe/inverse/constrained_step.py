@@ -337,7 +337,7 @@ class ConstrainedSteps:
             # what is gained
         ):
             if still:
-                u = np.minimum(np.maximum(0.0, low), high)
+                u = np.zeros_like(u)
             elif not whole:
                 u = self.compute_velocity(free, stages, *wide, damping, speeds=speeds)
             next_speed = size * math.sqrt(len(u)) / max(NEAR, damping)

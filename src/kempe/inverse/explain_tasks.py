@@ -174,9 +174,8 @@ def _describe_violations(problem: Demands, q: Array) -> str:
     which = ", ".join(v.text for v in rows.list_violations(q))
     if which:
         return f"violating {which}"
-    far = rows.compute_excess(q)
-    over = [repr(name) for name, x in zip(rows.names, far.tolist(), strict=True) if x]
-    return f"outside the limits of {join_words(over)}" if over else ""
+    over = rows.list_violated_names(q)
+    return f"outside the limits of {join_words([repr(name) for name in over])}" if over else ""
 
 
 def _solve_tasks(

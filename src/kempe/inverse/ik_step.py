@@ -124,7 +124,8 @@ class IkStep(Answer):
         declared = self.system._mechanism.constraints
         why = [declared[name].of.prevents.format(name=name) for name in self.blocked_by]
         limited = [name for name in self.saturated if name not in self.default_speed]
-        outside = self._find_outside(limited)
+        beyond = pack_one_sided_rows(self.system).list_violated_names(self.q) if limited else []
+        outside = [name for name in limited if name in beyond]
         if inside := [name for name in limited if name not in outside]:
             why.append(f"at a limit: {', '.join(map(repr, inside))}")
         if outside:
@@ -139,17 +140,6 @@ class IkStep(Answer):
                 f"{', '.join(map(repr, default))}"
             )
         return f"{text}: {'; '.join(why)}" if why else text
-
-    def _find_outside(self, names: Sequence[str]) -> list[str]:
-        """Find which of these velocity coordinates are outside their limits of position."""
-        layout = self.system.structure.layout
-        x = np.zeros(self.system.nv)
-        x[layout.vector_v] = self.q[layout.vector_q]
-        plain = np.zeros(self.system.nv, dtype=bool)
-        plain[layout.vector_v] = True
-        off = plain & ((x < self.system.lower) | (x > self.system.upper))
-        every = self.system.structure.velocity_names
-        return [name for name in names if off[every.index(name)]]
 
     def _select_claimed_rows(self) -> np.ndarray:
         return np.array(False)  # a step is of first order: how far it leads away is its residual

@@ -258,8 +258,7 @@ def _make_start(system: Model, q: Array, wanted: Any) -> tuple[Demands, Array]:
         np.zeros((1, 3), dtype=np.int64),
     )
     if not at:
-        over = [name for name, far in zip(rows.names, rows.compute_excess(q), strict=True) if far]
-        if over:
+        if over := rows.list_violated_names(q):
             raise InputError(
                 f"q is outside the limits of {join_words([repr(name) for name in over])}"
             )

@@ -299,9 +299,8 @@ def compute_pressure_angle(
     """
     far, near = _find_dyad(system, joint, coupler, output)
     q = read_q(system, q)
-    closure = Closure(system)
-    for k in np.ndindex(q.shape[:-1]):
-        refuse_open_loops(closure.evaluate_equations(q[k])[0])
+    flat = q.reshape(-1, system.nq)
+    refuse_open_loops(Closure(system).evaluate_many_points(flat, False)[0])
     p = _compute_joint_pose(system, q, joint)[..., :3, 3]
     a = _compute_joint_pose(system, q, far)[..., :3, 3]
     base = _compute_joint_pose(system, q, near)
