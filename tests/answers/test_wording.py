@@ -105,6 +105,18 @@ def test_each_kind_of_evidence_is_found_out_somewhere_and_has_a_sentence():
             "without the limits of 'a', 'b' it closes, so these may be what blocks it",
         ),
         ("one-sided", {"violated": ["x", "y"], "known": True}, "what is known contradicts x, y"),
+        (
+            "short links",
+            {"joint": "C", "longest": 1.0, "others": 0.75},
+            "the loop of joint 'C' cannot be closed: one of its links is 1 m long, 0.25 m more than "
+            "all its other links together",
+        ),
+        (
+            "short links",
+            {"joint": "C", "longest": 1.0, "others": 0.75, "known": True},
+            "the loop of joint 'C' cannot be closed with these values: two of its joints are 1 m "
+            "apart, 0.25 m more than all its other links together",
+        ),
         ("not closed", {}, "with these values no closed configuration was found"),
         ("open", {"what": "nothing"}, "nothing is open"),
         (

@@ -521,7 +521,7 @@ def test_the_time_limit_is_the_one_that_was_given(requested, limit, monkeypatch)
 def test_none_found():
     system = three_rpr([(0, 0), (9, 0), (4, 9)], [(0, 0), (1, 0), (0, 1)])
     modes = assembly_modes(
-        system, {"S1": 1.0, "S2": 1.0, "S3": 1.0}, budget=kempe.Budget(starts=64)
+        system, {"S1": 4.2, "S2": 4.2, "S3": 5.7}, budget=kempe.Budget(starts=64)
     )
     assert not modes and not modes.complete
     assert modes.status.startswith("none found from 64 starts, without proof: the loop of joint")

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 import pytest
+from closed_graphs import random_closed
 
 from kempe import Mechanism, System, spatial
 from kempe.numerics.length_bounds import (
@@ -17,6 +18,7 @@ from kempe.numerics.length_bounds import (
     compute_distance_bounds,
     compute_place_bounds,
     compute_reach_bounds,
+    find_unclosable_loop,
     measure_bound_excess,
 )
 
@@ -144,3 +146,80 @@ def test_a_rail_without_end_leaves_a_strip():
     box, shells, _ = compute_place_bounds(s, s.structure.table.at["tip"])
     assert np.isinf(box[:, 0]).all() and box[:, 1] == pytest.approx([-0.3, 0.3])
     assert shells == ()
+
+
+# ---- loops that lengths leave open
+
+
+def test_hunt_no_loop_is_called_open_that_closes(hunt):
+    """Random loops of all joint types, which close, also with known values and limits there."""
+    rng = hunt.rng()
+    held = 0
+    for _ in range(hunt.cases(1000)):
+        s = random_closed(rng).system()
+        answer = s.assemble()
+        if not answer.success:
+            continue
+        q = dict(zip(s.coordinate_names, answer.q, strict=True))
+        turned = [n for n in q if n in s.structure.velocity_names]
+        known = {n: q[n] for n in turned if rng.random() < 0.5}
+        held += len(known)
+        assert find_unclosable_loop(s, {}) is None and find_unclosable_loop(s, known) is None
+    assert held > 0
+
+
+def make_polygon(sides: np.ndarray) -> System:
+    """A closed chain of bars with these lengths, in the plane; joint 0 turns the first bar."""
+    m = Mechanism("polygon", dim=2)
+    bars = [m.ground, *(m.body(f"bar {k}") for k in range(1, len(sides)))]
+    for k, side in enumerate(sides[:-1]):
+        m.revolute(f"{k}", bars[k], bars[k + 1], at=(side if k else 0.0, 0.0))
+    m.revolute("last", bars[-1], m.ground, at=(sides[-1], 0.0), child_at=(sides[0], 0.0))
+    return m.build()
+
+
+def test_hunt_polygons_close_unless_one_side_is_longer_than_the_others_together(hunt):
+    """Euclid, Elements I.20 and I.22, for any number of sides; so with the first angle known, where
+    ground and first bar are one side.
+    """
+    rng = hunt.rng()
+    seen = set[tuple[bool, bool]]()
+    for _ in range(hunt.cases(1000)):
+        sides = rng.uniform(0.1, 1.0, int(rng.integers(4, 8))) ** 2
+        s = make_polygon(sides)
+        angle = float(rng.uniform(-3.0, 3.0))
+        joined = float(np.hypot(sides[0] - sides[1] * np.cos(angle), sides[1] * np.sin(angle)))
+        for known, those in (({}, sides), ({"0": angle}, np.array([joined, *sides[2:]]))):
+            gap = find_unclosable_loop(s, known)
+            longest = float(those.max())
+            others = float(those.sum()) - longest
+            assert (gap is not None) == (longest > others)
+            seen.add((bool(known), gap is not None))
+            if gap is not None:
+                assert np.allclose(gap[1:], (longest, others), rtol=1e-12)
+                assert gap.joint in s.structure.closures
+                answer = s.assemble(known)
+                assert "cannot be closed" in answer.status and not answer.success
+                assert f"{longest - others:.6g} m more than" in answer.status
+                modes = s.assembly_modes(known)
+                assert modes.complete and not len(modes)
+    assert len(seen) == 4
+
+
+def test_slides_lengthen_a_loop_as_far_as_their_limits():
+    """A slider crank whose rod is too short for where the rail begins."""
+
+    def make(low: float) -> System:
+        m = Mechanism("slider crank", dim=2)
+        crank, rod, block = (m.body(n) for n in ("crank", "rod", "block"))
+        m.revolute("A", m.ground, crank)
+        m.revolute("B", crank, rod, at=(0.1, 0.0))
+        m.prismatic("slide", m.ground, block, at=(low, 0.0), axis=(1.0, 0.0), limits=(0.0, 0.05))
+        m.revolute("C", rod, block, at=(0.3, 0.0))
+        return m.build()
+
+    assert find_unclosable_loop(make(0.39), {}) is None and make(0.39).assemble().success
+    gap = find_unclosable_loop(make(0.5), {})
+    assert gap is not None and gap[1:] == pytest.approx((0.5, 0.45))
+    assert find_unclosable_loop(make(0.5), {}, limits=False) is None
+    assert find_unclosable_loop(make(0.5), {"slide": 0.05})[1:] == pytest.approx((0.55, 0.4))

@@ -35,7 +35,8 @@ class Evidence(InWords):
       metres before it;
     - "contradiction": tasks `first` and `second` exclude each other by `off` metres or radians;
     - "no root": no angle of a `joint` brings what `axes` keep to where it must be, by `off` metres
-      or radians.
+      or radians;
+    - "short links": in the loop of a `joint` the `longest` link is longer than all `others` together.
     """
 
     kind: str
@@ -100,6 +101,16 @@ def make_reach_evidence(
         point=point,
         slides=list(slides),
     )
+
+
+def make_loop_length_evidence(
+    system: Model, known: Mapping[str, float], limits: bool = True
+) -> Evidence | None:
+    """Make evidence that lengths leave a loop open with the values of `known`; None where not."""
+    from kempe.numerics.length_bounds import find_unclosable_loop  # only here: answers need none
+
+    gap = find_unclosable_loop(system, known, limits)
+    return None if gap is None else make_evidence("short links", **gap._asdict(), known=bool(known))
 
 
 def make_limit_evidence(

@@ -220,6 +220,20 @@ def _explain_lengths(
     return f"{who}outside the workspace{','.join(parts)}, by the lengths of the links{ends}{units}"
 
 
+def _explain_short_links(joint: str, longest: float, others: float, known: bool = False) -> str:
+    """Explain that a loop stays open since one of its links is longer than all others together."""
+    size = f"{longest:.6g} m"
+    held, what = (
+        (" with these values", f"two of its joints are {size} apart")
+        if known
+        else ("", f"one of its links is {size} long")
+    )
+    return (
+        f"the loop of joint {joint!r} cannot be closed{held}: {what}, "
+        f"{longest - others:.6g} m more than all its other links together"
+    )
+
+
 def _explain_outside_limits(count: int = 0, short: float = 0.0) -> str:
     """Explain that all `count` configurations that reach a target violate limits.
 
@@ -647,6 +661,7 @@ PROOFS: Mapping[str, Callable[..., str] | str] = MappingProxyType(
         "outside": _explain_outside_limits,
         "contradiction": _explain_contradiction,
         "no root": _explain_missing_root,
+        "short links": _explain_short_links,
     }
 )
 """Kinds of evidence that prove that there is no answer, each with its sentence as a function of its

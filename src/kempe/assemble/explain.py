@@ -13,6 +13,7 @@ from kempe.answers.evidence import (
     Evidence,
     make_evidence,
     make_limit_evidence,
+    make_loop_length_evidence,
     make_one_sided_evidence,
 )
 from kempe.answers.problem import Choice, Problem, select_solver
@@ -87,6 +88,7 @@ def _describe_outcome(answer: Assembly, index: tuple[int, ...]) -> str:
         _find_one_sided_evidence(bound, q)
         or _find_limit_evidence(bound, q)
         or _find_excess_evidence(bound)
+        or _find_short_links_evidence(bound, q)
         or make_evidence("not closed")
     )
     still = describe_immovable_coordinates(bound.system)
@@ -212,6 +214,12 @@ def _find_largest_violation(bound: Assembler, q: Array, missed: float) -> Eviden
             found = make_evidence("open", what="one-sided", names=[v.name], amount=v.amount)
             worst = v.size
     return found
+
+
+def _find_short_links_evidence(bound: Assembler, q: Array) -> Evidence | None:
+    """Find a proof that a loop is open in all configurations with the known values of q (nq,)."""
+    known = dict(zip(bound.sources, q[bound.places].tolist(), strict=True))
+    return make_loop_length_evidence(bound.system, known)
 
 
 def _find_one_sided_evidence(bound: Assembler, q: Array) -> Evidence | None:

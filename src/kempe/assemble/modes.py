@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.answers.answer import Configurations
+from kempe.answers.evidence import Evidence, make_loop_length_evidence
 from kempe.answers.known_values import find_source_values, list_known_tasks
 from kempe.answers.problem import Problem, Solver, accept_all_problems, solve_problem
 from kempe.arguments import (
@@ -1052,6 +1053,33 @@ def _merge_branch_names(names: list[str]) -> str:
     return "".join(c[0] if len(set(c)) == 1 else "0" for c in zip(*names, strict=True))
 
 
+# ---- solver: lengths that leave a loop open
+
+
+def _find_proof_by_lengths(problem: Problem) -> Evidence | None:
+    """Find the proof by lengths that a loop is open with the known values; None where there is none."""
+    system = problem.system
+    known = {name: x for name, x in problem.known.items() if name in system.coordinate_names}
+    values = find_source_values(system, known)
+    fixed = {name: float(x) for name, x in values.items() if not x.ndim}
+    return make_loop_length_evidence(system, fixed, bool(problem.limits))
+
+
+def explain_missing_proof(problem: Problem) -> str | None:
+    """Explain that lengths do not decide; None where they leave a loop open."""
+    if _find_proof_by_lengths(problem) is not None:
+        return None
+    return "no link of a loop is longer than all others of it together"
+
+
+def answer_by_lengths(problem: Problem) -> Modes:
+    """Answer that there are no modes, since lengths leave a loop open."""
+    status = f"complete: {_find_proof_by_lengths(problem)}"
+    none = np.zeros(0, dtype=np.int64)
+    q = np.zeros((0, problem.system.nq))
+    return _make_answer(problem, q, status, [], none, none, True)
+
+
 # ---- solver: many starts
 
 
@@ -1201,6 +1229,12 @@ def _make_answer(
 SOLVERS = (
     Solver(
         "dyads", "closed form, one dyad after the other", explain_missing_dyads, find_modes_by_dyads
+    ),
+    Solver(
+        "lengths",
+        "proof by the lengths of links that a loop stays open",
+        explain_missing_proof,
+        answer_by_lengths,
     ),
     Solver(
         "many starts",

@@ -26,8 +26,8 @@ from kempe.model.configurations import read_q
 from kempe.model.constraint_program import Tie, collect_numbers, find_ends
 from kempe.model.coordinates import Layout
 from kempe.model.model import keep_answers
-from kempe.model.packed_loops import find_moving_rows, list_position_ties
-from kempe.model.primitive_table import End, Table, make_primitive_table
+from kempe.model.packed_loops import find_moving_rows, list_position_ties, make_explicit_table
+from kempe.model.primitive_table import End, Table
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
@@ -627,15 +627,7 @@ def record_tangent_rows(system: Model) -> VelocityRows:
     Joints that the tree left out are led on through their own motion, so that all coordinates
     count. One-sided rows are there, as if they were active.
     """
-    m = system._mechanism
-    table = make_primitive_table(
-        m,
-        system.structure.topology,
-        system.structure.coordinates,
-        m.parameters,
-        dict.fromkeys(system.structure.closures, True),
-    )
-    return _record_rows(system, table, True)
+    return _record_rows(system, make_explicit_table(system), True)
 
 
 def _record_rows(system: Model, table: Table, positions: bool) -> VelocityRows:

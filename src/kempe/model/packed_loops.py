@@ -668,6 +668,12 @@ def _join_tables(first: Table, second: Table) -> tuple[Table, Table]:
 # does a joint type that has no implicit form (`kempe.model.implicit_form`).
 
 
+def make_explicit_table(system: Model) -> Table:
+    """Make the primitive table with the ends of all cut joints, led on through their own motion."""
+    closures = dict.fromkeys(system.structure.closures, True)
+    return _make_loop_table(system, closures, np.zeros(3))
+
+
 def list_position_ties(system: Model, table: Table) -> list[Tie]:
     """List all ties that hold positions: of cut joints, explicit, and of declared constraints.
 

@@ -10,7 +10,7 @@ bounds hold with them, too: what lies outside is proven to be impossible.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -29,8 +29,9 @@ from kempe.kernels.forward.table_layout import (
     get_row_numbers,
 )
 from kempe.model.gauge import regauge_table
+from kempe.model.packed_loops import make_explicit_table
 from kempe.model.primitive_table import End, Table, extract_chain
-from kempe.spatial import Array
+from kempe.spatial import Array, make_rotation
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -39,6 +40,9 @@ Packed = tuple[np.ndarray, np.ndarray]
 """The integers and numbers of a packed chain, as kernels take them."""
 GROUND: End = (-1, np.eye(4), False)
 """The ground as the base of a chain."""
+
+SLACK = 1e-9
+"""Slack for rounding, as a part of lengths and boxes."""
 
 # ---- the chain between two frames
 
@@ -61,30 +65,33 @@ class Links(NamedTuple):
         return float(np.abs(self.ends[self.kinds == SLIDE]).max(axis=1, initial=0.0).sum())
 
 
-def _extract_chain(system: Model, tip: End, base: End) -> tuple[Table, np.ndarray]:
+def _extract_chain(table: Table, tip: End, base: End) -> tuple[Table, np.ndarray]:
     """Extract the table of the chain between two frames, and the indices of its coordinates in v."""
-    table = replace(system.structure.table, at={"tip": tip, "base": base})
-    chain, _, v_index = extract_chain(table, "tip", "base")
+    chain, _, v_index = extract_chain(replace(table, at={"tip": tip, "base": base}), "tip", "base")
     return chain, v_index
 
 
 def list_sliding_coordinates(system: Model, tip: End, base: End = GROUND) -> list[str]:
     """List the names of the sliding coordinates of a chain, whose limits bound its reach."""
-    chain, v_index = _extract_chain(system, tip, base)
+    chain, v_index = _extract_chain(system.structure.table, tip, base)
     slides = np.unique(v_index[chain.iv[chain.kind == SLIDE]])
     return [system.structure.velocity_names[v] for v in slides]
 
 
-def _list_equivalent_links(system: Model, tip: End, base: End) -> tuple[Iterator[Links], int]:
+def _list_equivalent_links(
+    table: Table, limits: Array, tip: End, base: End
+) -> tuple[Iterator[Links], int]:
     """List equivalent links of the chain between two frames, and count its coordinates.
+
+    Coordinates move within `limits` (nv, 2).
 
     The first are as described. Sums of lengths depend on where along the axis of a joint its frame
     stands, so the second have frames at common normals.
     """
-    chain, v_index = _extract_chain(system, tip, base)
+    chain, v_index = _extract_chain(table, tip, base)
     packed = chain.pack_arrays(["tip"])
-    limits = system.structure.limits[v_index]
-    return (_read_links(*a, limits) for a in (packed, regauge_table(*packed))), len(v_index)
+    within = limits[v_index]
+    return (_read_links(*a, within) for a in (packed, regauge_table(*packed))), len(v_index)
 
 
 def _read_links(ints: np.ndarray, floats: np.ndarray, limits: Array) -> Links:
@@ -95,7 +102,34 @@ def _read_links(ints: np.ndarray, floats: np.ndarray, limits: Array) -> Links:
     turns = rows[:, KIND] == TURN
     offsets = np.arctan2(numbers[:, SIN_OFFSET], numbers[:, COS_OFFSET])
     ends[turns] += offsets[turns, None]
-    return Links(rows[:, KIND], copy_placements(ints, floats), ends)
+    return _join_fixed_links(Links(rows[:, KIND], copy_placements(ints, floats), ends))
+
+
+def _join_fixed_links(links: Links) -> Links:
+    """Join the links at each joint whose limits leave it one position: they are one link."""
+    fixed = (links.ends[:, 0] == links.ends[:, 1]) & np.isin(links.kinds, (TURN, SLIDE))
+    if not fixed.any():
+        return links
+    placements: list[Array] = []
+    X = np.eye(4)
+    for k, placement in enumerate(links.placements):
+        X = X @ np.vstack([placement, [0.0, 0.0, 0.0, 1.0]])
+        if k < len(fixed) and fixed[k]:
+            X = X @ _make_joint_pose(links.kinds[k], float(links.ends[k, 0]))
+        else:
+            placements.append(X[:3])
+            X = np.eye(4)
+    return Links(links.kinds[~fixed], np.array(placements), links.ends[~fixed])
+
+
+def _make_joint_pose(kind: int, x: float) -> Array:
+    """Return the pose (4, 4) of a joint that turns about z, or slides along it, at a position."""
+    X = np.eye(4)
+    if kind == TURN:
+        X[:3, :3] = make_rotation(np.float64(x), "z")
+    else:
+        X[2, 3] = x
+    return X
 
 
 # ---- bounds of distances
@@ -114,7 +148,7 @@ class ReachBound(NamedTuple):
 
 def compute_distance_bounds(system: Model, tip: End, base: End) -> tuple[float, float]:
     """Compute the smallest and largest distance [m] between the origins of two frames."""
-    links, _ = _list_equivalent_links(system, tip, base)
+    links, _ = _list_equivalent_links(system.structure.table, system.structure.limits, tip, base)
     bounds = np.array([_bound_length(x.placements[..., 3], x.slides) for x in links])
     return float(bounds[:, 0].max()), float(bounds[:, 1].min())
 
@@ -129,7 +163,9 @@ def compute_reach_bounds(
     point counts: of the first the one nearest to the second joint, of the last the one nearest to
     the joint before.
     """
-    links, freedoms = _list_equivalent_links(system, tip, base)
+    links, freedoms = _list_equivalent_links(
+        system.structure.table, system.structure.limits, tip, base
+    )
     return _bound_reaches(links), freedoms
 
 
@@ -177,13 +213,51 @@ def _bound_length(steps: Array, slides: float) -> tuple[float, float]:
     )
 
 
+# ---- loops that their lengths leave open
+
+
+class LoopGap(NamedTuple):
+    """Loop that lengths leave open: its joint, its longest link, and all others with slides [m]."""
+
+    joint: str
+    longest: float
+    others: float
+
+
+def find_unclosable_loop(
+    system: Model, known: Mapping[str, float], limits: bool = True
+) -> LoopGap | None:
+    """Find the loop with a link that is longer than all others together, by most; None for none.
+
+    No configuration closes it. Coordinates of `known` stay at their values, so that links between
+    them are one; slides stay within their `limits`.
+    """
+    within = np.array(system.structure.limits)
+    if not limits:
+        within[:] = -np.inf, np.inf
+    for k, name in enumerate(system.structure.velocity_names):
+        if name in known:
+            within[k] = known[name]
+    table = make_explicit_table(system)
+    size = float(np.linalg.norm(table.placement[:, :3, 3], axis=1).sum())
+    size += sum(map(abs, known.values()))
+    worst: LoopGap | None = None
+    for joint in system.structure.closures:
+        ends = table.at[joint, "M"], table.at[joint, "F"]
+        for links in _list_equivalent_links(table, within, *ends)[0]:
+            lengths = np.linalg.norm(links.placements[..., 3], axis=-1)
+            longest = float(lengths.max())
+            others = float(lengths.sum()) - longest + links.slides
+            least = SLACK * size if worst is None else worst.longest - worst.others
+            if longest - others > least:
+                worst = LoopGap(joint, longest, others)
+    return worst
+
+
 # ---- bounds of places
 
 ZERO = 1e-14
 """Components of an axis that are rounding: a slide without limits does not move the tip in them."""
-
-SLACK = 1e-9
-"""Slack for rounding, as a part of the box."""
 
 
 class PlaceBounds(NamedTuple):
@@ -199,7 +273,7 @@ class PlaceBounds(NamedTuple):
 
 def compute_place_bounds(system: Model, tip: End, base: End = GROUND) -> PlaceBounds:
     """Compute the bounds of the places of a frame's origin, in the axes of a base."""
-    links, _ = _list_equivalent_links(system, tip, base)
+    links, _ = _list_equivalent_links(system.structure.table, system.structure.limits, tip, base)
     kinds, placements, ends = next(links)
     box = np.tile(placements[-1][:, 3], (2, 1))
     far = float(np.linalg.norm(placements[-1][:, 3]))
