@@ -275,7 +275,6 @@ class _Walk:
         self.tolerance = plan.tolerance
         self.limits = limits
         self.nq = ints[K.NQ]
-        self.n_signs = ints[K.N_SIGNS]
         self.first = ints[K.COORDINATES]
         self.n = 1
         self.dyads = 0

@@ -348,9 +348,9 @@ def _search_nearest_quickly(system: Model) -> Idealised | None:
     return _search_nearest(system, read_requested_tolerance(system, MEASURED), False)
 
 
-def find_ideal_system(system: Model, tolerance: Any = None) -> Model:
+def find_ideal_system(system: Model) -> Model:
     """Return the nearest system that closes exactly within its tolerance, or the system itself."""
-    found = find_nearest_exact(system, tolerance)
+    found = find_nearest_exact(system)
     return system if found is None else found.system
 
 

@@ -24,7 +24,6 @@ from kempe.arrays import is_sequence
 from kempe.errors import InputError, UnknownNameError
 from kempe.kernels.constraints import tape_layout as L
 from kempe.values import CONSTANTS, FUNCTIONS
-from kempe.words import choose_verb, format_count
 
 Node = tuple[int, int, int]
 """Operation, left, right, as `tape_layout` says."""
@@ -207,16 +206,6 @@ class Tape:
                 needed.update(self._list_operands(place))
         return sorted(place for place in needed if place >= len(self.inputs))
 
-    def replace_numbers(self, numbers: Iterable[float]) -> Tape:
-        """Return the tape with other constants. Errors: `InputError` for another count."""
-        found = tuple(float(x) for x in numbers)
-        if len(found) != len(self.numbers):
-            given = (
-                f"{format_count(len(found), 'number')} {choose_verb(len(found), 'is', 'are')} given"
-            )
-            raise InputError(f"{given}; the tape has {len(self.numbers)}")
-        return replace(self, numbers=found)
-
     def fix_inputs(self, values: Mapping[str, float]) -> Tape:
         """Return the tape with given inputs replaced by constants, which come first in `numbers`.
 
@@ -279,13 +268,6 @@ class Tape:
         A constant part is allowed.
         """
         return max(self.compute_degrees(names), default=0) <= 1
-
-    def find_support(self) -> tuple[frozenset[str], ...]:
-        """Find the inputs from which each output is computed."""
-        found = [frozenset({name}) for name in self.inputs] + [frozenset[str]()] * len(self.nodes)
-        for i in self._list_needed_places():
-            found[i] = frozenset().union(*(found[k] for k in self._list_operands(i)))
-        return tuple(found[i] for i in self.outputs)
 
     def format_outputs(self) -> tuple[str, ...]:
         """Return the outputs as text expressions, from which `parse_tape` makes an equal tape.

@@ -100,14 +100,14 @@ class Folders:
             outside = outside or file
         return None, outside
 
-    def find_file(self, path: str, subject: str = "mesh") -> Path:
+    def find_file(self, path: str) -> Path:
         """Return the existing file that a path in a robot's file means.
 
         ``package://name/rest`` is `rest` in a package of that name; any other path is relative to
         one of the roots. Errors: `InputError` for absolute paths, other schemes than package, files
         that do not exist, and files outside the folders, links and ``..`` followed.
         """
-        subject = f"{subject} {shorten_text(path)}"
+        subject = f"mesh {shorten_text(path)}"
         scheme = _SCHEME.match(path)
         advice = "a mesh is package://name/... or relative to the model"
         if scheme and scheme[1] != "package":

@@ -303,11 +303,6 @@ class Closure(Curve):
         """Compute the tangent vector (n,) that leads from `x` to `other`, whole turns included."""
         return self.system.structure.layout.compute_difference(x, other) / self.unit
 
-    def find_coordinate_indices(self, names: Sequence[str]) -> list[int]:
-        """Find the indices of named angles and slides among the velocity coordinates."""
-        number = {n: i for i, n in enumerate(self.system.structure.velocity_names)}
-        return [number[n] for n in names]
-
 
 class DrivenClosure(Closure):
     """Closure equations, and inputs that follow a straight line.

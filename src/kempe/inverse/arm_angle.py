@@ -481,7 +481,7 @@ def _make_half(arm: Arm, goal: Array, frame: Array, theta: float) -> Half:
     return Half(theta, Turning(*parts), Turning(*((M @ E4).T @ goal[:3, :3] for M in parts)))
 
 
-def is_inside_limits(lines: Lines, theta: Array, slack: float = FITS) -> np.ndarray:
+def is_inside_limits(lines: Lines, theta: Array) -> np.ndarray:
     """Return whether all joints (..., n) are inside their limits (...), by any turn."""
     q = (theta - lines.offset) / lines.multiplier
     low, high = lines.limits
@@ -491,7 +491,7 @@ def is_inside_limits(lines: Lines, theta: Array, slack: float = FITS) -> np.ndar
         if np.isfinite(low).all()
         else _add_turns(q, low, high, period)
     )
-    return np.all((turned <= high + slack) | (turned - period >= low - slack), axis=-1)
+    return np.all((turned <= high + FITS) | (turned - period >= low - FITS), axis=-1)
 
 
 def _add_turns(q: Array, low: Array, high: Array, period: Array) -> Array:

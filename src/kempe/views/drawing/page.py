@@ -96,12 +96,11 @@ def draw_curve(sheet: Sheet, name: str, points: Array, here: Array | None, numbe
         )
 
 
-def compute_limits(sheet: Sheet, room: float = 4.0) -> tuple[Array, Array]:
+def compute_limits(sheet: Sheet) -> tuple[Array, Array]:
     """Compute the lower left and upper right corner (2,) of the drawing, with room for labels."""
     p = np.concatenate([x for x in sheet.extent if len(x)]) if sheet.extent else np.zeros((1, 2))
-    lower = p.min(axis=0) - room * sheet.r
-    upper = p.max(axis=0) + room * sheet.r
-    return lower, upper
+    room = 4.0 * sheet.r
+    return p.min(axis=0) - room, p.max(axis=0) + room
 
 
 def make_axes(
