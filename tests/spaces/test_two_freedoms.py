@@ -220,4 +220,4 @@ def test_places_beside_singular_lines_are_reached_in_as_many_ways_as_they_are():
     y = np.linspace(-0.74, 0.74, 59)
     space.count_reaching_grid(x, y)
     clear = np.abs(np.sin(values[..., 1])) > 1e-6
-    assert mask.all() and clear.mean() > 0.9 and (space.count_ways(q[..., 0, :])[clear] == 2).all()
+    assert mask.all() and clear.mean() > 0.9 and (space.count_modes(q, mask)[clear] == 2).all()

@@ -75,7 +75,7 @@ def by_hand(p: np.ndarray, limits: list[tuple[float, float]]) -> int:
 def test_numbers_of_configurations_are_those_of_the_closed_form(system, limits):
     p = np.random.default_rng(3).uniform(-1.0, 1.0, (300, 2))
     expected = [by_hand(x, limits) for x in p]
-    found = two_freedoms(system, "e").count_reaching(p)
+    found = two_freedoms(system, "e").solve_places(p)[1].sum(axis=1)
     assert found.tolist() == expected and set(expected) == {0, 1, 2} - (
         {1} if system is ARM else set()
     )
@@ -103,8 +103,9 @@ def test_shades_show_these_numbers():
 def test_singular_lines_and_their_images():
     """The arm is singular where q2 is 0 or pi: circles of radius l1 + l2 and l1 - l2."""
     left, right = ARM.plot_spaces("e", resolution=61)
-    lines = [c for c in left.collections if c.get_gid() is None and len(c.get_paths())]
-    q2 = np.concatenate([path.vertices[:, 1] for c in lines for path in c.get_paths()])
+    lines = [line for k, (line,) in artists(left).items() if k.startswith("singular")]
+    q2 = np.concatenate([line.get_ydata() for line in lines])
+    q2 = q2[np.isfinite(q2)]
     assert np.abs(np.sin(q2)).max() < 1e-6 and np.abs(q2).min() < 1e-6
     radii = [
         np.hypot(*line.get_data())
@@ -125,8 +126,12 @@ def test_points_have_their_solutions_or_their_distance():
     assert len(solutions) == 2
     assert all(min(np.abs(q - x).max() for x in solutions) < 1e-9 for q in expected)
     for k in range(2):
-        ends = np.array(artists(right)[f"arm:0:{k}"][0].get_data())
-        assert ends[:, 0] == pytest.approx([0.6, 0.3]) and ends[:, -1] == pytest.approx([0.0, 0.0])
+        bars = {name: v for name, v in artists(right).items() if name.startswith(f"arm:0:{k}")}
+        lower, upper = (np.array(line.get_data()) for (line,) in bars.values())
+        assert lower[:, 0] == pytest.approx([0.0, 0.0]) and upper[:, -1] == pytest.approx(
+            [0.6, 0.3]
+        )
+        assert lower[:, -1] == pytest.approx(upper[:, 0])
     line = np.array(artists(right)["distance:1"][0].get_data())
     assert np.linalg.norm(line[:, 1] - line[:, 0]) == pytest.approx(1.3 - 0.9, abs=1e-6)
     assert artists(right)["distance:1:text"][0].get_text() == "0.4 m away"
@@ -232,7 +237,7 @@ def test_configurations_paths_and_self_motions_are_drawn_in_both_spaces():
     assert len(kept) > 5 and np.ptp(right["path:1"][0].get_xdata()) < 1e-8
     assert np.transpose(right["path:0"][0].get_data()) == pytest.approx(targets, abs=1e-5)
     assert np.ravel(left["configuration:0"][0].get_data()) == pytest.approx([1.0, 2.0])
-    assert "configuration:0:arm" in right
+    assert any(k.startswith("configuration:0:arm") for k in right)
     for wrong in (3.0, [np.zeros((2, 3))], np.zeros((1, 2, 2)), [np.nan, 0.0]):
         with pytest.raises(InputError):
             LIMITED.plot_spaces("e", resolution=20, q=wrong)
@@ -543,7 +548,7 @@ def test_a_task_that_sees_a_curve_only_is_refused():
     pan = kempe.Mechanism("pan")
     pan.revolute("p", pan.ground, pan.body("a"), axis="z")
     pan.prismatic("s", "a", pan.body("b"), axis="x", limits=(0.1, 0.5))
-    with pytest.raises(UnsupportedError, match="on a curve"):
+    with pytest.raises(InputError, match="does not move"):
         pan.build().plot_spaces("b", task="direction", resolution=10)
 
 

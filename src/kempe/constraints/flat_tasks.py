@@ -73,15 +73,6 @@ class FlatTask:
         at[..., j] = p[..., 1]
         return OnLine(frame, at, np.eye(3)[along])
 
-    def compute_area(self, X: Array, J: Array) -> Array:
-        """Compute the signed area (...) that two coordinates span in the task at unit speed.
-
-        `J` (..., 6, 2) are their Jacobians, `X` (..., 4, 4) the poses.
-        """
-        if not self.directional:
-            return np.asarray(np.linalg.det(J[..., self.axes, :]))
-        return np.einsum("...i,...i", X[..., :3, 2], np.cross(J[..., 3:, 0], J[..., 3:, 1]))
-
     def compute_distance(self, p: Array, other: Array) -> Array:
         """Compute the distance (...) of two values (..., 2) of the task, in metres or radians."""
         if not self.directional:

@@ -6,6 +6,7 @@ Open chains and planar mechanisms of dyads are solved in closed form, others on 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -332,30 +333,42 @@ for these to be taken, and that of two that do not place the others."""
 NEEDED = "both spaces are drawn of systems with two freedoms"
 
 
+Solve = Callable[[Array], tuple[Array, np.ndarray]]
+"""A closed form: configurations (..., k, nq) at values (..., 2), and a mask (..., k)."""
+
+
 class TwoFreedoms:
     """A system with two freedoms over two coordinates, and the frame whose task is drawn.
 
     `names` are the two coordinates, `columns` theirs in q, `low`, `high` and `turns` (2,) their
-    ranges and which of them are full turns. What is found is found from node to node of lattices;
-    `broken` says what ended that early. Errors: `UnsupportedError`, `InputError`.
+    ranges and which of them are full turns. `over` is the closed form for values of the two
+    coordinates, branch by branch, and `reaching` that for places of the frame. Without one
+    configurations are found from node to node of a lattice; `broken` says what ended that early.
+    Errors: `InputError`.
     """
-
-    modes = True
-    """Whether several configurations can lie over the same values."""
-    complete = False
-    """Whether those over given values are all, by a closed form."""
 
     progress: Callable[[int, int], Any] | None = None
     """Called with how many nodes of a lattice have configurations, and how many it has."""
 
     def __init__(
-        self, system: Model, frame: str, task: FlatTask, names: tuple[str, ...], clock: TimeLimit
+        self,
+        system: Model,
+        frame: str,
+        task: FlatTask,
+        names: tuple[str, ...],
+        clock: TimeLimit,
+        over: Solve | None = None,
+        reaching: Solve | None = None,
     ):
         self.system = system
         self.frame = frame
         self.task = task
         self.names = names
         self.clock = clock
+        self.over = over
+        self.reaching = reaching
+        self.modes = has_loops(system)
+        """Whether several configurations can lie over the same values."""
         velocity = system.structure.velocity_names
         self.at = [velocity.index(n) for n in names]
         self.columns = [system.coordinate_names.index(n) for n in names]
@@ -377,6 +390,11 @@ class TwoFreedoms:
         self._over: tuple[int, Array, np.ndarray] | None = None
         self._reaching: tuple[Array, Array, Array, np.ndarray] | None = None
 
+    @property
+    def complete(self) -> bool:
+        """Whether the configurations over values and at places are all, by closed forms."""
+        return self.over is not None and self.reaching is not None
+
     def make_grid(self, n: int) -> Array:
         """Make a grid of values (n, n, 2) over the ranges of both coordinates."""
         sides = [np.linspace(float(self.low[i]), float(self.high[i]), n) for i in range(2)]
@@ -385,27 +403,26 @@ class TwoFreedoms:
     # ---- over values of the coordinates
 
     def solve_grid(self, n: int) -> tuple[Array, np.ndarray]:
-        """Solve for configurations (n, n, k, nq) at the values of the grid, with mask (n, n, k)."""
-        values = self.make_grid(n)
-        q = self.manifold.draw_configurations(np.random.default_rng(0), STARTS)
-        found = flood_lattice(
-            self.solver,
-            self._make_value_equations(values.reshape(-1, 2)),
-            (n, n),
-            q,
-            self._find_nodes(q[:, self.columns], n),
-            self.clock,
-            self.progress,
-        )
-        self.broken = self.broken or found.broken
-        self._over = n, found.q, found.mask
-        q, mask = self._bring_inside(found.q, found.mask)
+        """Solve for configurations (n, n, k, nq) at the values of the grid, with mask (n, n, k) of
+        those inside the limits.
+        """
+        values = self.make_grid(n).reshape(-1, 2)
+        if self.over is not None:
+            q, mask = self.over(values)
+        else:
+            seeds = self.manifold.draw_configurations(np.random.default_rng(0), STARTS)
+            nodes = self._find_nodes(seeds[:, self.columns], n)
+            q, mask = self._flood_lattice(self._make_value_equations(values), (n, n), seeds, nodes)
+        self._over = n, q, mask
+        q, mask = self._bring_inside(q, mask)
         return q.reshape(n, n, -1, self.system.nq), mask.reshape(n, n, -1)
 
     def solve_values(self, values: Array) -> tuple[Array, np.ndarray]:
         """Solve for configurations (..., k, nq) at values (..., 2) of the coordinates. The mask is
-        (..., k).
+        (..., k) of those inside the limits.
         """
+        if self.over is not None:
+            return self._bring_inside(*self.over(values))
         assert self._over is not None
         n, q, mask = self._over
         flat = values.reshape(-1, 2)
@@ -417,7 +434,17 @@ class TwoFreedoms:
         """Solve for configurations (n, k, nq) over a line of values (n, 2). The mask is (n, k),
         mode by mode.
         """
-        return order_along_line(self.solver, *self.solve_values(values))
+        q, mask = self.solve_values(values)
+        return (q, mask) if self.over is not None else order_along_line(self.solver, q, mask)
+
+    def count_modes(self, q: Array, mask: np.ndarray) -> np.ndarray:
+        """Count the assembly modes (n, n) of q (n, n, k, nq) on the grid; of a chain the ways to the
+        place of the frame.
+        """
+        out = mask.sum(axis=-1)
+        if not self.modes:
+            out[mask[..., 0]] = self._count_ways(q[mask])
+        return out
 
     def _find_nodes(self, values: Array, n: int) -> np.ndarray:
         """Find the numbers (k,) of the nodes nearest to values (k, 2)."""
@@ -438,44 +465,38 @@ class TwoFreedoms:
 
         return evaluate_missing
 
-    def count_modes(self, q: Array, mask: np.ndarray) -> np.ndarray:
-        """Count the configurations (n, n) of q (n, n, k, nq), which are the assembly modes on the
-        grid.
-        """
-        return np.asarray(mask.sum(axis=-1))
-
     # ---- that reach a place
+
+    def solve_places(self, p: Array) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (..., k, nq) that bring the frame to places p (..., 2), by the
+        closed form. The mask is (..., k) of those inside the limits.
+        """
+        assert self.reaching is not None
+        return self._bring_inside(*self.reaching(p))
 
     def count_reaching_grid(self, x: Array, y: Array) -> np.ndarray:
         """Count the configurations that bring the frame to each place of a lattice x (m,), y (n,)."""
+        p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+        if self.reaching is not None:
+            return self.solve_places(p)[1].sum(axis=-1)
         seeds = self._find_seeds()
-        p = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
         node = find_nearest_nodes(x, y, self.task.project_poses(fk(self.system, seeds, self.frame)))
-        found = flood_lattice(
-            self.solver,
-            self._make_place_equations(p),
-            (len(x), len(y)),
-            seeds,
-            node,
-            self.clock,
-            self.progress,
-        )
-        self.broken = self.broken or found.broken
-        q, mask = self._bring_inside(found.q, found.mask)
+        equations = self._make_place_equations(p.reshape(-1, 2))
+        q, mask = self._bring_inside(*self._flood_lattice(equations, (len(x), len(y)), seeds, node))
         self._reaching = x, y, q, mask
         return mask.sum(axis=1).reshape(len(x), len(y))
 
-    def count_ways(self, q: Array) -> np.ndarray:
-        """Count the configurations (...) inside the limits with the frame where it is at q (...,
-        nq).
+    def _count_ways(self, q: Array) -> np.ndarray:
+        """Count the configurations (k,) inside the limits with the frame where it is at q (k, nq).
 
-        Where the nodes around have different numbers, those of them that lead to the place are
-        counted, with q.
+        On a lattice, where the nodes around have different numbers, those of them that lead to the
+        place are counted, with q.
         """
+        p = self.task.project_poses(fk(self.system, q, self.frame))
+        if self.reaching is not None:
+            return np.maximum(self.solve_places(p)[1].sum(axis=-1), 1)
         assert self._reaching is not None
         x, y, found, mask = self._reaching
-        flat = q.reshape(-1, q.shape[-1])
-        p = self.task.project_poses(fk(self.system, flat, self.frame))
         count = mask.sum(axis=1)
         around = find_cell_nodes(x, y, p)
         out = count[around[:, 0]]
@@ -483,17 +504,19 @@ class TwoFreedoms:
         for at in np.array_split(mixed, 1 + len(mixed) // BLOCK):
             near = around[at]
             k = len(at)
-            starts = np.concatenate(
-                [flat[at, None], found[near].reshape(k, -1, q.shape[-1])], axis=1
-            )
+            starts = np.concatenate([q[at, None], found[near].reshape(k, -1, q.shape[-1])], axis=1)
             there = np.insert(mask[near].reshape(k, -1), 0, True, axis=1)
             out[at] = self._solve_again(self._make_place_equations(p[at]), starts, there)[1].sum(
                 axis=1
             )
-        return out.reshape(q.shape[:-1])
+        return out
 
     def find_solutions(self, p: Array) -> Array:
         """Find the distinct configurations (k, nq) that bring the frame to a place (2,)."""
+        if self.reaching is not None:
+            q, mask = self.solve_places(p)
+            q = q[mask]
+            return q[self.manifold.metric.find_unique_configurations(q, SAME, self.solver.counts)]
         assert self._reaching is not None
         x, y, q, mask = self._reaching
         i, j = np.divmod(find_nearest_nodes(x, y, p[None])[0], len(y))
@@ -526,6 +549,14 @@ class TwoFreedoms:
         return evaluate_missing
 
     # ---- both
+
+    def _flood_lattice(
+        self, missing: Missing, shape: tuple[int, int], q: Array, node: np.ndarray
+    ) -> tuple[Array, np.ndarray]:
+        """Find configurations (n, k, nq) at the nodes of a lattice, and their mask (n, k)."""
+        found = flood_lattice(self.solver, missing, shape, q, node, self.clock, self.progress)
+        self.broken = self.broken or found.broken
+        return found.q, found.mask
 
     def _solve_again(
         self, missing: Missing, q: Array, mask: np.ndarray
@@ -561,115 +592,6 @@ class TwoFreedoms:
         return np.where(mask[..., None], self.task.project_poses(X), np.nan)
 
 
-class OpenChain(TwoFreedoms):
-    """An open system with two coordinates."""
-
-    modes = False
-    complete = True
-
-    def solve_grid(self, n: int) -> tuple[Array, np.ndarray]:
-        """Return configurations (n, n, 1, nq) at the values of the grid, with a mask that is true."""
-        self._over = n, self.make_grid(n).reshape(-1, 1, 2), np.ones((n * n, 1), dtype=bool)
-        return self.solve_values(self.make_grid(n))
-
-    def solve_values(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Return configurations (..., 1, nq) at values (..., 2) of the coordinates."""
-        return self._bring_inside(
-            values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool)
-        )
-
-    def count_modes(self, q: Array, mask: np.ndarray) -> np.ndarray:
-        """Count the configurations (n, n) that bring the frame to the same place as q (n, n, 1,
-        nq).
-        """
-        out = np.zeros(mask.shape[:-1], dtype=int)
-        out[mask[..., 0]] = self.count_ways(q[mask])
-        return out
-
-
-class FlatChain(OpenChain):
-    """An open planar system with two coordinates, solved at places by `ik_all`."""
-
-    def count_reaching_grid(self, x: Array, y: Array) -> np.ndarray:
-        """Count the configurations that bring the frame to each place of a lattice x (m,), y (n,)."""
-        return self.count_reaching(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
-
-    def count_ways(self, q: Array) -> np.ndarray:
-        """Count the configurations (...) that bring the frame to its place at q (..., nq)."""
-        return np.maximum(
-            self.count_reaching(self.task.project_poses(fk(self.system, q, self.frame))), 1
-        )
-
-    def count_reaching(self, p: Array) -> np.ndarray:
-        """Count the configurations (...) that bring the frame to places p (..., 2)."""
-        found = ik_all(self.system, p.reshape(-1, 2), self.frame, task="position", limits=True)
-        return np.asarray(found.mask).sum(axis=1).reshape(p.shape[:-1])  # type: ignore[union-attr]
-
-    def find_solutions(self, p: Array) -> Array:
-        """Find the distinct configurations (k, nq) that bring the frame to a place (2,)."""
-        return ik_all(self.system, p, self.frame, task="position", limits=True).q
-
-
-class Dyads(TwoFreedoms):
-    """A planar mechanism of dyads with two freedoms, solved in closed form.
-
-    `placed` is the closed form with the place of the frame known, None where there is none.
-    """
-
-    complete = True
-
-    def __init__(self, system: Model, frame: str, task: FlatTask, plan: Plan, clock: TimeLimit):
-        super().__init__(system, frame, task, plan.known, clock)
-        self.plan = plan
-        self.placed = _plan_for_place(system, frame)
-
-    def solve_grid(self, n: int) -> tuple[Array, np.ndarray]:
-        """Solve for configurations (n, n, k, nq) on all branches. The mask is (n, n, k) of those
-        inside the limits.
-        """
-        q, mask = self.solve_values(self.make_grid(n))
-        self._over = n, q.reshape(n * n, -1, self.system.nq), mask.reshape(n * n, -1)
-        return q, mask
-
-    def solve_values(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Solve for configurations (..., k, nq) on all branches. The mask is (..., k) of those
-        inside the limits.
-        """
-        return self._bring_inside(*self.plan.all(values))
-
-    def solve_line(self, values: Array) -> tuple[Array, np.ndarray]:
-        """Solve for configurations (n, k, nq) over a line of values (n, 2). The mask is (n, k),
-        branch by branch.
-        """
-        return self.solve_values(values)
-
-    def solve_places(self, p: Array) -> tuple[Array, np.ndarray]:
-        """Solve for configurations (..., k, nq) that bring the frame to places p (..., 2). The mask
-        is (..., k).
-        """
-        assert self.placed is not None
-        q, mask = self.placed.all(p)
-        at = [self.placed.system.coordinate_names.index(n) for n in self.system.coordinate_names]
-        return self._bring_inside(q[..., at], mask)
-
-    def count_reaching_grid(self, x: Array, y: Array) -> np.ndarray:
-        """Count the configurations that bring the frame to each place of a lattice x (m,), y (n,)."""
-        if self.placed is None:
-            return super().count_reaching_grid(x, y)
-        return self.solve_places(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))[1].sum(
-            axis=-1
-        )
-
-    def find_solutions(self, p: Array) -> Array:
-        """Find the distinct configurations (k, nq) that bring the frame to a place (2,)."""
-        if self.placed is None:
-            return super().find_solutions(p)
-        q, mask = self.solve_places(p)
-        return q[mask][
-            self.manifold.metric.find_unique_configurations(q[mask], SAME, self.solver.counts)
-        ]
-
-
 def make_two_freedoms(
     system: Model, frame: str, task: FlatTask, clock: TimeLimit | None = None
 ) -> TwoFreedoms:
@@ -691,13 +613,27 @@ def make_two_freedoms(
         raise UnsupportedError(
             f"{NEEDED}; {system.name} has {what}{' and loops' if loops else ''}{left_out}"
         )
+    flat = system.dim == 2
     if not loops:
-        kind = FlatChain if system.dim == 2 else OpenChain
-        return kind(system, frame, task, tuple(system.coordinate_names), clock)
-    plan = _make_plan(system) if system.dim == 2 else None
-    if plan is not None:
-        return Dyads(system, frame, task, plan, clock)
-    return TwoFreedoms(system, frame, task, _choose_pair(system), clock)
+        reaching = partial(_solve_chain, system, frame) if flat else None
+        names = tuple(system.coordinate_names)
+        return TwoFreedoms(system, frame, task, names, clock, _take_values, reaching)
+    plan = _make_plan(system) if flat else None
+    if plan is None:
+        return TwoFreedoms(system, frame, task, _choose_pair(system), clock)
+    reaching = _plan_for_place(system, frame)
+    return TwoFreedoms(system, frame, task, plan.known, clock, plan.all, reaching)
+
+
+def _take_values(values: Array) -> tuple[Array, np.ndarray]:
+    """Return the one configuration (..., 1, 2) of an open chain over values (..., 2)."""
+    return values[..., None, :], np.ones((*values.shape[:-1], 1), dtype=bool)
+
+
+def _solve_chain(system: Model, frame: str, p: Array) -> tuple[Array, np.ndarray]:
+    """Solve for configurations (..., k, nq) of an open planar chain that reach places p (..., 2)."""
+    found: Any = ik_all(system, p.reshape(-1, 2), frame, task="position", limits=True)
+    return found.q.reshape(*p.shape[:-1], -1, system.nq), found.mask.reshape(*p.shape[:-1], -1)
 
 
 def _list_pairs(system: Model) -> Iterator[tuple[str, ...]]:
@@ -755,7 +691,7 @@ def _choose_pair(system: Model) -> tuple[str, ...]:
     return pairs[good[0]]
 
 
-def _plan_for_place(system: Model, frame: str) -> Plan | None:
+def _plan_for_place(system: Model, frame: str) -> Solve | None:
     """Make the closed form for a known place of a frame, by slides in x and y pinned to it."""
     m = system.mechanism
     free = "place"
@@ -774,4 +710,13 @@ def _plan_for_place(system: Model, frame: str) -> Plan | None:
         child_at=(0, 0) if on is None else frame,
     )
     found = find_closed_form(type(system)(m), (f"{free} x", f"{free} y"))
-    return None if isinstance(found, Incomplete) or found.signs > MOST_SIGNS else found
+    if isinstance(found, Incomplete) or found.signs > MOST_SIGNS:
+        return None
+    at = [found.system.coordinate_names.index(n) for n in system.coordinate_names]
+
+    def solve_places(p: Array) -> tuple[Array, np.ndarray]:
+        """Solve for configurations (..., k, nq) on all branches, and a mask (..., k)."""
+        q, mask = found.all(p)
+        return q[..., at], mask
+
+    return solve_places

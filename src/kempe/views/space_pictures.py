@@ -17,7 +17,7 @@ from kempe.budget import Budget, Usual
 from kempe.constraints.flat_tasks import FlatTask, find_flat_task
 from kempe.equations.judge import closure_error
 from kempe.errors import InputError, Interrupted, TimeLimitError, UnsupportedError, format_value
-from kempe.forward.fk import fk, jacobian
+from kempe.forward.fk import fk
 from kempe.model.configurations import has_loops, list_units, read_q, refuse_large_numbers
 from kempe.motion.trace import trace
 from kempe.numerics.clock import TIME_LIMIT, TimeLimit, describe_early_end
@@ -53,10 +53,10 @@ CLOSED = 1e-6
 far loops may be open."""
 DIRECTIONS = np.array([np.pi, 0.5 * np.pi])
 """The largest azimuth and elevation."""
+ROUNDING = 1e-9
+"""Angle in radians below which a configuration is at the end of a full turn."""
 LINES_OF_LIMIT = 12
 """Lines on which one coordinate is at one of its limits, at most."""
-FLAT = 1e-12
-"""Area that rates span, below which a frame moves on a curve."""
 USUAL = Usual("plot_spaces", time_limit=TIME_LIMIT, progress=None)
 
 
@@ -109,10 +109,7 @@ def plot_spaces(
         _draw_other_limits(space, left, right, over[mask])
     if lines:
         _draw_grid(space, left, right)
-    if curves is None:
-        _draw_singular_curves(space, left, right, every)
-    else:
-        _draw_curves(space, left, right, curves)
+    _draw_curves(space, left, right, curves)
     for k, target in enumerate(targets):
         _draw_point(space, left, right, target, k, over[mask], p[mask])
     for k, motion in enumerate(motions):
@@ -190,9 +187,7 @@ def _is_closed(system: Model, q: Array) -> bool:
 
 
 def _find_singular_curves(space: TwoFreedoms) -> Any:
-    """Find the singular curves of a system with loops; None for a chain. Errors:
-    `UnsupportedError`.
-    """
+    """Find the singular curves of a system. Errors: `UnsupportedError`."""
     system = space.system
     name = space.frame
     task = space.task
@@ -201,16 +196,14 @@ def _find_singular_curves(space: TwoFreedoms) -> Any:
         "a curve"
     )
     hint = "" if system.dim == 2 else '; task may be "xy", "xz", "yz" or "direction"'
-    if not has_loops(system):
-        if np.abs(_compute_area(space, space.make_grid(COARSEST))).max() < FLAT:
-            raise UnsupportedError(on_curve + hint)
-        return None
     from kempe.spaces.singularities import singularities
 
     kind = task.name if system.dim == 3 else "position"
     try:
         budget = Budget(time_limit=space.clock.remaining_seconds)
-        found = singularities(system, name, kind, inputs=space.names, budget=budget)
+        found = singularities(
+            system, name, kind, inputs=space.names if space.modes else None, budget=budget
+        )
     except TimeLimitError:
         raise TimeLimitError(USUAL.verb, space.clock.limit) from None
     if found.analysis.frame_rank < 2:
@@ -227,13 +220,6 @@ def _find_singular_curves(space: TwoFreedoms) -> Any:
         ) = -np.inf  # what follows ends at once, with what there is
         space.clock.limit = space.clock.limit or 0.0
     return curves
-
-
-def _compute_area(space: TwoFreedoms, q: Array) -> Array:
-    """Compute the signed area (...) in the task that the rates of both coordinates span."""
-    system = space.system
-    name = space.frame
-    return space.task.compute_area(fk(system, q, name), jacobian(system, q, name))
 
 
 def _shade_task_space(space: TwoFreedoms, ax: Any, p: Array, targets: Array, n: int) -> None:
@@ -392,32 +378,6 @@ def _draw_curves(space: TwoFreedoms, left: Any, right: Any, curves: Any) -> None
         )
 
 
-def _draw_singular_curves(space: TwoFreedoms, left: Any, right: Any, grid: Array) -> None:
-    """Draw where the frame of a chain loses a direction of velocity, and the image of these curves."""
-    size = _compute_area(space, grid)
-    scale = float(np.abs(size).max())
-    # a line through nodes of the grid is one, too
-    size = np.where(np.abs(size) < 1e-9 * scale, 1e-9 * scale, size)
-    lines = left.contour(
-        grid[:, 0, 0],
-        grid[0, :, 1],
-        size.T,
-        levels=[0.0],
-        colors=[style.OPEN],
-        linewidths=1.6,
-        zorder=style.PINS,
-    )
-    for k, line in enumerate(np.asarray(x, dtype=float) for x in lines.allsegs[0] if len(x) > 1):
-        p = space.task.project_poses(fk(space.system, line, space.frame))
-        right.plot(
-            *_split_at_jumps(space, p).T,
-            color=style.OPEN,
-            lw=1.6,
-            gid=f"singular:{k}",
-            zorder=style.PINS,
-        )
-
-
 def _draw_point(
     space: TwoFreedoms, left: Any, right: Any, target: Array, k: int, every: Array, p: Array
 ) -> None:
@@ -537,66 +497,41 @@ def _draw_configuration(space: TwoFreedoms, left: Any, right: Any, q: Array, k: 
 def _list_values(space: TwoFreedoms, q: Array) -> Array:
     """Return the two coordinates (..., 2) of configurations (..., nq) that span the left picture."""
     at = q[..., space.columns]
-    return np.where(space.turns, space.low + np.mod(at - space.low, 2.0 * np.pi), at)
+    # what is at the lower end of a full turn but for rounding is not moved to the upper one
+    turned = np.mod(at - space.low + ROUNDING, 2.0 * np.pi) - ROUNDING
+    return np.where(space.turns, space.low + turned, at)
 
 
 def _draw_arm(space: TwoFreedoms, ax: Any, q: Array, colour: str, gid: str, line: str) -> None:
-    """Draw the bodies from the ground to the frame as a line through their joints."""
+    """Draw the bodies as lines through their joints and frames, and make room for them."""
     system = space.system
-    name = space.frame
     axes = space.task.axes
     if not axes:
         return
-    if space.modes:
-        scene = build_scene(system, q)
-        bars = {link.name: scene.list_points(link) for link in scene.links[1:]}
-        bars |= {
-            j.name: np.array([j.F[:3, 3], j.M[:3, 3]])
-            for j in scene.joints
-            if j.kind == "prismatic"
-        }
-        for bar, points in bars.items():
-            ax.plot(
-                *points[:, axes].T,
-                color=colour,
-                lw=1.5,
-                ls=line,
-                marker="o",
-                ms=3.5,
-                alpha=0.8,
-                gid=f"{gid}:{bar}",
-                zorder=style.POINTS,
-            )
-        corners = np.concatenate([*bars.values()])[:, axes]
-        low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
-        room = 0.02 * (high - low)
-        low = np.minimum(low, corners.min(axis=0) - room)
-        high = np.maximum(high, corners.max(axis=0) + room)
-        ax.set_xlim(low[0], high[0])
-        ax.set_ylim(low[1], high[1])
-        return
-    m = system.mechanism
-    tree = system.structure.topology
-    frame = m.frames.get(name)
-    body = name if frame is None else frame.body
-    ends = [fk(system, q, name)[:3, 3]]
-    while body != system.body_names[0]:
-        at = system.body_names.index(body) - 1
-        joint = m.joints[tree.parent_joints[at]]
-        own = joint.X_CM if joint.child == body else joint.X_PF
-        ends.append((fk(system, q, body) @ own.evaluate_pose(m.parameters))[:3, 3])
-        body = system.body_names[system.parent[at]]
-    ax.plot(
-        *np.array(ends)[:, axes].T,
-        color=colour,
-        lw=1.5,
-        ls=line,
-        marker="o",
-        ms=3.5,
-        alpha=0.8,
-        gid=gid,
-        zorder=style.POINTS,
-    )
+    scene = build_scene(system, q)
+    bars = {link.name: scene.list_points(link) for link in scene.links[1:]}
+    bars |= {
+        j.name: np.array([j.F[:3, 3], j.M[:3, 3]]) for j in scene.joints if j.kind == "prismatic"
+    }
+    for bar, points in bars.items():
+        ax.plot(
+            *points[:, axes].T,
+            color=colour,
+            lw=1.5,
+            ls=line,
+            marker="o",
+            ms=3.5,
+            alpha=0.8,
+            gid=f"{gid}:{bar}",
+            zorder=style.POINTS,
+        )
+    corners = np.concatenate([*bars.values()])[:, axes]
+    low, high = np.array([ax.get_xlim(), ax.get_ylim()]).T
+    room = 0.02 * (high - low)
+    low = np.minimum(low, corners.min(axis=0) - room)
+    high = np.maximum(high, corners.max(axis=0) + room)
+    ax.set_xlim(low[0], high[0])
+    ax.set_ylim(low[1], high[1])
 
 
 def _finish_axes(
@@ -678,11 +613,16 @@ def _list_line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
     """List the legend entries of lines."""
     from matplotlib.lines import Line2D
 
-    kinds = sorted({c.kinds for c in curves or ()})
-    styles = [(f"singular, {' and '.join(k)}", LINES.get(k, ":")) for k in kinds]
-    styles = [("singular", "-")] if curves is None else styles
     entries = [
-        Line2D([], [], color=style.OPEN, lw=1.6, ls=line, label=label) for label, line in styles
+        Line2D(
+            [],
+            [],
+            color=style.OPEN,
+            lw=1.6,
+            ls=LINES.get(kinds, ":"),
+            label=f"singular, {' and '.join(kinds)}",
+        )
+        for kinds in sorted({c.kinds for c in curves})
     ]
     limited = np.isfinite(space.system.lower) | np.isfinite(space.system.upper)
     if not space.turns.all() or (space.modes and limited.any()):
