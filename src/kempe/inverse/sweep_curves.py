@@ -17,37 +17,42 @@ import numpy as np
 
 from kempe.answers.targets import TASKS, is_axis_task, make_rotations_along
 from kempe.budget import TimeUp, check_for_stop
-from kempe.forward.fk import Query, query
 from kempe.inverse.closed_forms.chain_lines import Lines
-from kempe.kernels.forward.table_layout import SLIDE
+from kempe.kernels.compiled import chain_curves
+from kempe.kernels.forward.table_layout import SLIDE, get_tip_placement
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.curves import ACROSS, BEND, BLUNT, IDEAL_BEND, LEAST_STEP
 from kempe.numerics.intervals import SAME_ANGLE, unite_intervals
-from kempe.numerics.newton import run_many_gauss_newton
-from kempe.numerics.rank import TINY, Spectrum
-from kempe.numerics.roots import find_sign_change, find_sign_changes
+from kempe.numerics.newton import LAST
+from kempe.numerics.rank import Level
+from kempe.numerics.roots import find_sign_change
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
 LONGEST = 0.15
-MOST_STEPS = 4000
-"""The longest step along a curve [rad, lengths of the chain], and how many a curve may have."""
-
-LANDINGS = 20
-"""Bisections of a step that find where it passes a value of the parameter; a corrector follows."""
+"""The longest step along a curve [rad, lengths of the chain]."""
 
 BISECTIONS = 45
-"""The same, where it is found on a curve that is known."""
+"""Bisections of a step that find where it passes a value of the parameter."""
+
+CORRECTIONS = 8
+"""Steps of a correction at most."""
 
 CONVERGED = 1e-13
 HELD = 1e-11
 """Error of a configuration that is corrected no further, and of one that is taken for good."""
 
-CHECKS = np.linspace(0.0, 1.0, 6)
-"""Places in a step where folds and limits are looked for: a pair of them closer than that is
-missed."""
+RULES = np.array(
+    [CONVERGED, HELD, LAST, Level.CLOSED, BLUNT, LONGEST, ACROSS, BEND, IDEAL_BEND, LEAST_STEP]
+)
+"""What the kernels of `chain_curves` ask of points and steps."""
+
+PIECE = 1024
+ROOM = 32
+"""Points and curves between two looks at the clock, and points of a curve for which there is room at
+first."""
 
 TWO_PI = 2.0 * math.pi
 
@@ -91,7 +96,7 @@ class ChainMotion:
     @cached_property
     def limits(self) -> Array:
         """Limits (2, nf) of x."""
-        return self.lines.limits[:, list(self.free)] / self.unit
+        return np.ascontiguousarray(self.lines.limits[:, list(self.free)] / self.unit)
 
     def make_configurations(self, x: Array) -> Array:
         """Make configurations (..., nq) of free coordinates x (..., nf)."""
@@ -109,89 +114,80 @@ class ChainMotion:
         return q[..., self._places] / self.unit
 
     @cached_property
-    def tool(self) -> Array:
-        """Rotation (3, 3) from the frame to one whose z axis is the tool's axis."""
-        return make_rotations_along(np.array(self.axis)) if is_axis_task(self.task) else np.eye(3)
+    def _problem(self) -> tuple[Any, ...]:
+        """The chain and its target, as the kernels of `chain_curves` take them.
 
-    @cached_property
-    def rows(self) -> Array:
-        """Weights (6,), 0 or 1, of the six pose errors."""
-        planar = self.system.dim == 2 and self.task == "pose"
-        return np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
-
-    @cached_property
-    def _weights(self) -> Array:
-        """Weights (6, nf) that derivatives of the tip's twist have where the tool needs no turn."""
-        unit = self.rows * np.repeat([1.0 / self.lines.length, 1.0], 3)
-        return unit[:, None] * self.unit
-
-    @cached_property
-    def _find_pose(self) -> Query:
-        return query(self.system, self.frame)
-
-    @cached_property
-    def _columns(self) -> np.ndarray:
-        """Velocity coordinates (nf,) of the joints that move."""
-        return self.lines.v_index[list(self.free)]
-
-    def compute_missing_twist(self, x: Array) -> Array:
-        """Compute the twist (..., 6) from the tip to the target at x (..., nf), in the tip's frame.
-
-        Lengths are in lengths of the chain.
-
-        What the task does not ask for is zero.
+        The tip's z axis is turned into the tool's axis.
         """
-        return self._compare_poses(self._find_pose(self.make_configurations(x), threads=1))
-
-    def _compare_poses(self, X: Array) -> Array:
-        """Compute the missing twist (..., 6) at poses (..., 4, 4) of the tip."""
-        turn = self.tool
         pointed = is_axis_task(self.task)
-        back = np.swapaxes(X[..., :3, :3] @ turn if pointed else X[..., :3, :3], -1, -2)
-        away = (
-            np.einsum("...ij,...j->...i", back, self.target[:3, 3] - X[..., :3, 3])
-            / self.lines.length
-        )
-        left = back @ (self.target[:3, :3] @ turn)
-        if pointed:
-            angular = np.stack(
-                [-left[..., 1, 2], left[..., 0, 2], np.zeros(left.shape[:-2])], axis=-1
-            )
-        else:
-            angular = compute_rotation_vector(left)
-        return self.rows * np.concatenate([away, angular], axis=-1)
+        tool = make_rotations_along(np.array(self.axis)) if pointed else np.eye(3)
+        table = self.system.structure.table
+        ints, floats = table.pack_arrays([self.frame], table.find_path(self.frame))
+        floats = floats.copy()
+        tip = get_tip_placement(ints, floats)
+        tip[:, :3] = tip[:, :3] @ tool
+        target = np.column_stack([self.target[:3, :3] @ tool, self.target[:3, 3]])
+        planar = self.system.dim == 2 and self.task == "pose"
+        rows = np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
+        weights = rows * np.repeat([1.0 / self.lines.length, 1.0], 3)
+        goal = np.concatenate([target.ravel(), weights, [float(pointed)]])
+        places = np.array([self._places, self.lines.v_index[list(self.free)]], dtype=np.int64)
+        return ints, floats, places, goal, self.unit, self.base, RULES
 
-    def compute_twist_jacobian(self, x: Array) -> Array:
-        """Compute derivatives (..., 6, nf) of the tip's twist by x."""
-        return self.evaluate_twist(x)[1]
+    def correct_points(
+        self, x: Array, across: Array, rounds: int = CORRECTIONS
+    ) -> tuple[Array, Array, np.ndarray]:
+        """Find points (m, nf) of the curve in planes through x (m, nf), their unit tangents, and
+        which exist (m,).
 
-    def evaluate_twist(self, x: Array) -> tuple[Array, Array]:
-        """Compute the missing twist (..., 6) at x (..., nf), and derivatives (..., 6, nf) of the tip's
-        twist.
+        The planes are normal to the directions `across` (m, nf), to which the tangents are nearest.
         """
-        q = self.make_configurations(x)
-        X, J = self._find_pose.pose_and_jacobian(q, "body", threads=1)
-        J = J[..., self._columns]
-        if is_axis_task(self.task):
-            J = np.concatenate(
-                [self.tool.T @ part for part in (J[..., :3, :], J[..., 3:, :])], axis=-2
+        x = np.array(x, order="C")
+        t = np.empty_like(x)
+        error = np.empty(len(x))
+        for i in range(0, len(x), PIECE):
+            check_for_stop()
+            some = slice(i, i + PIECE)
+            chain_curves.correct_points(
+                *self._problem, across[some], rounds, x[some], t[some], error[some]
             )
-        return self._compare_poses(X), self._weights * J
+        return x, t, error < HELD
 
-    def correct_points(self, x: Array, across: Array, rounds: int = 8) -> tuple[Array, np.ndarray]:
-        """Find points (m, nf) of the curve in planes through x (m, nf), and which exist (m,).
+    def follow_curves(
+        self, x: Array, t: Array, low: Array, high: Array
+    ) -> list[list[tuple[Array, Array]]]:
+        """Follow curves from points x (m, nf) along tangents t until the parameter leaves intervals.
 
-        The planes are normal to the directions `across` (m, nf).
+        Returns nodes and tangents of the parts of each between folds. The last node is on the end
+        `low` or `high` (m,) of the interval. Where the curve has no tangent, or is too long, the
+        last node is inside.
         """
-        at = np.sum(across * x, axis=-1)
-
-        def evaluate_equations(x: Array, some: np.ndarray) -> tuple[Array, Array]:
-            e, J = self.evaluate_twist(x)
-            away = np.sum(across[some] * x, axis=-1) - at[some]
-            return np.append(-e, away[:, None], axis=-1), np.append(J, across[some, None], axis=-2)
-
-        x = run_many_gauss_newton(evaluate_equations, x, rounds, met=CONVERGED)
-        return x, np.abs(self.compute_missing_twist(x)).max(axis=-1) < HELD
+        out: list[list[tuple[Array, Array]]] = []
+        bounds = np.column_stack([low, high])
+        room = ROOM * min(len(x), PIECE)
+        while len(out) < len(x):
+            check_for_stop()
+            some = slice(len(out), len(out) + PIECE)
+            points, tangents = np.empty((2, room, self.n))
+            fold = np.empty(room, dtype=np.int64)
+            last = np.empty(len(x[some]), dtype=np.int64)
+            done = chain_curves.follow_curves(
+                *self._problem, x[some], t[some], bounds[some], self.p, points, tangents, fold, last
+            )
+            first = 0
+            for end in last[:done].tolist():
+                folds = first + np.flatnonzero(fold[first:end])
+                cuts = [first, *folds.tolist(), end - 1]
+                out.append(
+                    [
+                        (points[i : j + 1].copy(), tangents[i : j + 1].copy())
+                        for i, j in zip(cuts[:-1], cuts[1:], strict=True)
+                    ]
+                )
+                first = end
+            if not done:
+                room *= 2
+        return out
 
     def compute_short_difference(self, x: Array, y: Array) -> Array:
         """Compute y - x (..., nf), with angles the short way."""
@@ -237,27 +233,20 @@ class Arcs:
         """Estimate points (m, nf) at fractions s (m,) of steps k (m,), by cubics."""
         return interpolate_hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
 
-    def bisect_steps(
-        self, k: np.ndarray, joint: Any, level: Array, low: Array, high: Array
-    ) -> tuple[Array, Array]:
-        """Find between which fractions (m,) of steps k the estimates of a joint pass levels (m,).
-
-        `joint` is the number of the joint, or one for each step.
-        """
+    def bisect_steps(self, k: np.ndarray, values: Array) -> Array:
+        """Find fractions (m,) of steps k at which the parameter's estimates pass values (m,)."""
+        p = self.motion.p
         size = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
-        x0, x1 = self.x[k, joint], self.x[k + 1, joint]
-        d0, d1 = size * self.t[k, joint], size * self.t[k + 1, joint]
-
-        def estimate_joint(s: Array) -> Array:
-            return evaluate_cubics(x0, d0, x1, d1, s)
-
-        rising = estimate_joint(high) > estimate_joint(low)
+        x0, x1 = self.values[k], self.values[k + 1]
+        d0, d1 = size * self.t[k, p], size * self.t[k + 1, p]
+        low = np.zeros(len(k))
+        high = np.ones(len(k))
         for _ in range(BISECTIONS):
             s = 0.5 * (low + high)
-            before = (estimate_joint(s) < level) == rising
+            before = evaluate_cubics(x0, d0, x1, d1, s) < values
             low = np.where(before, s, low)
             high = np.where(before, high, s)
-        return low, high
+        return 0.5 * (low + high)
 
     def compute_points(self, k: np.ndarray, s: Array) -> Array:
         """Compute points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
@@ -282,12 +271,11 @@ class Arcs:
             nodes = known[self.first[i] : self.last[i] + 1]
             k[own] = self.first[i] + np.searchsorted(nodes, v[own], side="right") - 1
         k = np.clip(k, first[there], last[there] - 1)
-        low, high = self.bisect_steps(k, p, v, np.zeros(len(v)), np.ones(len(v)))
-        x = self.guess_points(k, 0.5 * (low + high))
+        x = self.guess_points(k, self.bisect_steps(k, v))
         x[:, p] = v
         across = np.zeros_like(x)
         across[:, p] = 1.0
-        better, good = self.motion.correct_points(x, across)
+        better, _, good = self.motion.correct_points(x, across)
         steps = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
         good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
         for ends in (first, last):  # folds, where the corrector has nothing to hold on to
@@ -334,29 +322,22 @@ class Arcs:
         """Yield arc, place in its steps and parameter where another joint passes a limit."""
         m = self.motion
         steps = np.delete(np.arange(len(self.x)), self.last)
-        k = np.repeat(steps, len(CHECKS))
-        some = self.guess_points(k, np.tile(CHECKS, len(steps)))
-        some = some.reshape(len(steps), len(CHECKS), -1)
-        found: list[tuple[np.ndarray, ...]] = []
-        limits: list[list[float]] = m.limits.T.tolist()
-        for j, (low, high) in enumerate(limits):
-            for limit in {low, high} if j != m.p else ():
-                if not math.isfinite(limit):
-                    continue
-                period = m.period[j] if math.isfinite(m.period[j]) else 1e30
-                lap = np.floor((some[..., j] - limit) / period)
-                k, i = np.nonzero(lap[:, 1:] != lap[:, :-1])
-                lifted = np.maximum(lap[k, i], lap[k, i + 1])
-                level: Array = np.where(lifted != 0.0, limit + period * lifted, limit)
-                found.append((steps[k], i, np.full(len(k), j), level))
-        if not sum(len(k) for k, *_ in found):
-            return
-        at, i, joint, level = (np.concatenate(column) for column in zip(*found, strict=True))
-        rows = np.arange(len(at))
-        low, high = self.bisect_steps(at, joint, level, CHECKS[i], CHECKS[i + 1])
-        first = self.guess_points(at, 0.5 * (low + high))
+        room = len(steps) + 1
+        while True:
+            found = np.empty((room, 2), dtype=np.int64)
+            places = np.empty((room, 4))
+            count = chain_curves.find_crossings(
+                self.x, self.t, steps, m.limits, m.period, m.p, found, places
+            )
+            if count <= room:
+                break
+            room = count
+        at, joint = found[:count].T
+        level, part, before, after = places[:count].T
+        rows = np.arange(count)
+        first = self.guess_points(at, part)
         first[rows, joint] = level
-        x, good = m.correct_points(first, np.eye(some.shape[-1])[joint])
+        x, _, good = m.correct_points(first, np.eye(m.n)[joint])
         size = np.linalg.norm(self.x[at + 1] - self.x[at], axis=-1)
         good &= np.linalg.norm(x - first, axis=-1) < 0.05 * size + 1e-9
         arc = np.searchsorted(self.last, at)
@@ -368,30 +349,17 @@ class Arcs:
                         self.compute_points(at[[r]], np.array([s]))[0, joint[r]] - level[r]
                     )
 
-                s = find_sign_change(compute_offset, float(CHECKS[i[r]]), float(CHECKS[i[r] + 1]))
+                s = find_sign_change(compute_offset, float(before[r]), float(after[r]))
                 if s is None:
                     continue
-                low[r] = high[r] = s
+                part[r] = s
                 x[r] = self.compute_points(at[[r]], np.array([s]))[0]
             ends = self.values[[self.first[arc[r]], self.last[arc[r]]]]
             yield (
                 int(arc[r]),
-                float(at[r] - self.first[arc[r]] + 0.5 * (low[r] + high[r])),
+                float(at[r] - self.first[arc[r]] + part[r]),
                 float(np.clip(x[r, m.p], *ends)),
             )
-
-
-def compute_rotation_vector(R: Array) -> Array:
-    """Compute 2 tan(angle / 2) times the axis (..., 3) of rotations.
-
-    For small angles it is the rotation vector.
-    """
-    v = np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]],
-        axis=-1,
-    )
-    trace = R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2]
-    return v * (2.0 / np.maximum(1.0 + trace, 1e-9))[..., None]
 
 
 def interpolate_hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
@@ -409,170 +377,6 @@ def evaluate_cubics(x0: Array, d0: Array, x1: Array, d1: Array, s: Array) -> Arr
     )
 
 
-# ---- following a curve between two values
-
-# *Folds*, where the parameter turns back and two solutions merge, and the places where joints reach
-# limits, are found on the curve itself (Burdick, "On the inverse kinematics of redundant
-# manipulators: characterization of the self-motion manifolds", ICRA 1989).
-
-
-def compute_tangents(motion: ChainMotion, x: Array, toward: Array) -> Array:
-    """Compute unit tangents (m, nf) of curves at points x (m, nf), the null vectors nearest to
-    `toward` (m, nf).
-    """
-    spectrum = Spectrum(motion.compute_twist_jacobian(x))
-    Vt = spectrum.right
-    null = np.ones(Vt.shape[:2], dtype=bool)
-    many = spectrum.values.shape[1]
-    null[:, :many] = spectrum.values <= BLUNT * spectrum.largest[:, None]
-    null[:, -1] = True
-    along = np.einsum("mk,mkn->mn", null * np.einsum("mkn,mn->mk", Vt, toward), Vt)
-    size = np.linalg.norm(along, axis=1, keepdims=True)
-    return np.where(size > 0.0, along / np.maximum(size, TINY), Vt[:, -1])
-
-
-def follow_curves(
-    motion: ChainMotion, x: Array, t: Array, low: Array, high: Array
-) -> list[tuple[Array, Array]]:
-    """Follow curves from points x (m, nf) along tangents t until the parameter leaves intervals.
-
-    Returns nodes and tangents of each. The last node is on the end `low` or `high` (m,) of the
-    interval. Where the curve has no tangent, or is too long, the last node is inside. All curves
-    are followed side by side, each with steps of its own.
-    """
-    nodes = [[point] for point in x]
-    tangents = [[tangent] for tangent in t]
-    x = x.copy()
-    t = t.copy()
-    h = np.full(len(x), LONGEST)
-    left = np.arange(len(x))
-    for _ in range(MOST_STEPS):
-        if not len(left):
-            break
-        check_for_stop()
-        a = x[left]
-        u = t[left]
-        step = h[left, None]
-        guess = a + step * u
-        b, good = motion.correct_points(guess, u)
-        good &= np.linalg.norm(b - guess, axis=1) <= ACROSS * step[:, 0]
-        b = np.where(good[:, None], b, a)
-        v = compute_tangents(motion, b, np.where(good[:, None], b - a, u))
-        bend = 2.0 * np.arcsin(np.minimum(1.0, 0.5 * np.linalg.norm(v - u, axis=1)))
-        good &= bend <= BEND
-        value = b[:, motion.p]
-        out = good & ((value < low[left]) | (value > high[left]))
-        if out.any():
-            k = np.flatnonzero(out)
-            ends = np.where(value[k] < low[left[k]], low[left[k]], high[left[k]])
-            b[k], good[k] = _find_landings(motion, a[k], u[k], b[k], v[k], ends)
-            done = k[good[k]]
-            if len(done):
-                v[done] = compute_tangents(motion, b[done], u[done])
-        for i in np.flatnonzero(good):
-            nodes[left[i]].append(b[i])
-            tangents[left[i]].append(v[i])
-        x[left[good]] = b[good]
-        t[left[good]] = v[good]
-        longer = np.clip(IDEAL_BEND / np.maximum(bend, 1e-9), 0.5, 1.5)
-        h[left] = np.where(good, np.minimum(LONGEST, h[left] * longer), 0.5 * h[left])
-        left = left[~(out & good) & (h[left] >= LEAST_STEP)]
-    return [(np.array(n), np.array(u)) for n, u in zip(nodes, tangents, strict=True)]
-
-
-def _find_landings(
-    motion: ChainMotion, a: Array, t: Array, b: Array, u: Array, values: Array
-) -> tuple[Array, np.ndarray]:
-    """Find points (m, nf) in steps from a to b where the parameter has values (m,), and which are
-    found (m,).
-    """
-    p = motion.p
-    low = np.full(len(a), 1e-9)
-    high = np.ones(len(a))
-    first = interpolate_hermite(a, t, b, u, low)[:, p] < values
-    there = first != (b[:, p] < values)
-    for _ in range(LANDINGS):
-        s = 0.5 * (low + high)
-        before = (interpolate_hermite(a, t, b, u, s)[:, p] < values) == first
-        low = np.where(before, s, low)
-        high = np.where(before, high, s)
-    guess = interpolate_hermite(a, t, b, u, 0.5 * (low + high))
-    guess[:, p] = values
-    across = np.zeros_like(guess)
-    across[:, p] = 1.0
-    x, good = motion.correct_points(guess, across)
-    near = np.linalg.norm(x - guess, axis=1) <= ACROSS * np.linalg.norm(b - a, axis=1)
-    return x, there & good & near
-
-
-def split_at_folds(
-    motion: ChainMotion, curves: list[tuple[Array, Array]]
-) -> list[list[tuple[Array, Array]]]:
-    """Split curves (nodes and tangents) at their folds: the parts of each, in order."""
-    steps = [(c, k) for c, (x, _) in enumerate(curves) for k in range(len(x) - 1)]
-    folds: list[list[tuple[int, Array, Array]]] = [[] for _ in curves]
-    if steps:
-        first, last = (
-            np.concatenate([np.stack(curve)[:, part] for curve in curves], axis=1)
-            for part in (slice(-1), slice(1, None))
-        )
-        for i, z, u in _find_folds(motion, *first, *last):
-            c, k = steps[i]
-            folds[c].append((k, z, u))
-    out: list[list[tuple[Array, Array]]] = []
-    for (x, t), here in zip(curves, folds, strict=True):
-        cuts = [0, *(k + 1 + i for i, (k, _, _) in enumerate(here)), len(x) - 1 + len(here)]
-        places = [k + 1 for k, _, _ in here]
-        if here:
-            x = np.insert(x, places, [z for _, z, _ in here], axis=0)
-            t = np.insert(t, places, [u for _, _, u in here], axis=0)
-        out.append([(x[i : j + 1], t[i : j + 1]) for i, j in zip(cuts[:-1], cuts[1:], strict=True)])
-    return out
-
-
-def _find_folds(
-    motion: ChainMotion, x: Array, t: Array, y: Array, u: Array
-) -> list[tuple[int, Array, Array]]:
-    """Find points and tangents in steps from x to y (m, nf) where the parameter turns back.
-
-    Returns them with the number of their step, in order.
-    """
-    p = motion.p
-    s = CHECKS
-    size = np.linalg.norm(y - x, axis=1)[:, None]
-    rates = 6.0 * s * (1.0 - s) * (y - x)[:, [p]] + size * (
-        (1.0 - s) * (1.0 - 3.0 * s) * t[:, [p]] - s * (2.0 - 3.0 * s) * u[:, [p]]
-    )
-    rates[:, 0] = t[:, p]
-    rates[:, -1] = u[:, p]
-    some = np.flatnonzero(((rates[:, 1:] > 0.0) != (rates[:, :-1] > 0.0)).any(axis=1))
-    if not len(some):
-        return []
-
-    def compute_nodes(k: np.ndarray, s: Array) -> tuple[Array, Array]:
-        """Compute points and tangents (m, nf) at fractions s (m,) of steps k (m,)."""
-        across = (y - x)[k] / size[k]
-        guess = interpolate_hermite(x[k], t[k], y[k], u[k], s)
-        z = motion.correct_points(guess, across)[0]
-        return z, compute_tangents(motion, z, t[k])
-
-    # the cubic says that there is one; the curve itself says where
-    inner = s[1:-1]
-    k = np.repeat(some, len(inner))
-    rates[some, 1:-1] = compute_nodes(k, np.tile(inner, len(some)))[1][:, p].reshape(len(some), -1)
-    row, i = np.nonzero((rates[some, 1:] > 0.0) != (rates[some, :-1] > 0.0))
-    k = some[row]
-    at = find_sign_changes(
-        lambda s, which: compute_nodes(k[which], s)[1][:, p],
-        (s[i], rates[k, i]),
-        (s[i + 1], rates[k, i + 1]),
-    )
-    inside = (at > 0.0) & (at < 1.0)
-    k = k[inside]
-    z, v = compute_nodes(k, at[inside])
-    return list(zip(k.tolist(), z, v, strict=True))
-
-
 # ---- arcs through solutions at many values of the parameter
 
 SAME = 1e-4
@@ -587,89 +391,75 @@ Piece = tuple[Array, Array]
 class Net:
     """Solutions at rising values of the parameter, and the pieces of curve between them.
 
-    x, t (M, nf): solutions and unit tangents along which the parameter rises; level (M,): which
-    value. `up[a]` is the next node above a with the piece from a to it, both inclusive; `head[a]`
+    x, t (M, nf): solutions and unit tangents along which the parameter rises; first (m + 1,): the
+    solutions first[i] to first[i + 1] are those of value i. `up` (M,) is the next node above each,
+    or -1; `way[a]` is the piece from a to it, both inclusive, unless it is straight there; `head[a]`
     and `foot[a]` are pieces that end in a fold above a, or begin in one below; `loose` are arcs
     that no value meets.
     """
 
-    def __init__(self, motion: ChainMotion, values: Array, x: Array, level: np.ndarray):
+    def __init__(self, motion: ChainMotion, values: Array, x: Array, t: Array, first: np.ndarray):
         self.motion = motion
         self.values = values
         self.x = x
-        self.level = level
-        t = Spectrum(motion.compute_twist_jacobian(x)).right[:, -1] if len(x) else np.zeros_like(x)
-        self.t = np.where(t[:, motion.p, None] < 0.0, -t, t)
-        self.up: dict[int, tuple[int, Piece]] = {}
-        self.below: set[int] = set()
+        self.t = t
+        self.first = first
+        self.up = np.full(len(x), -1, dtype=np.int64)
+        self.below = np.zeros(len(x), dtype=bool)
+        self.way: dict[int, Piece] = {}
         self.head: dict[int, Piece] = {}
         self.foot: dict[int, Piece] = {}
         self.loose: list[Piece] = []
-        self.at = [np.flatnonzero(level == i) for i in range(len(values))]
 
     def join_nodes(self) -> None:
         """Join neighbouring nodes, and follow the curves from all ends that are left."""
         self._join_levels()
-        for sense, joined, ended, last in (
-            (1.0, self.up, self.head, len(self.values) - 1),
-            (-1.0, self.below, self.foot, 0),
-        ):
-            left = [
-                a
-                for a in range(len(self.x))
-                if self.level[a] != last and a not in joined and a not in ended
-            ]
-            for a, curve in zip(left, self._follow_curves(left, sense), strict=True):
-                if a not in joined and a not in ended:
+        top = self.first[-2]
+        bottom = self.first[1]
+        for sense, ended in ((1.0, self.head), (-1.0, self.foot)):
+            left = np.flatnonzero(self.up[:top] < 0) if sense > 0.0 else self._list_lowest(bottom)
+            left = left[[a not in ended for a in left.tolist()]] if len(left) else left
+            for a, curve in zip(left.tolist(), self._follow_curves(left, sense), strict=True):
+                if not self._is_joined(a, sense) and a not in ended:
                     self._keep_curve(a, sense, curve)
+
+    def _list_lowest(self, first: int) -> np.ndarray:
+        """List the nodes from `first` on that are not joined to one below."""
+        return first + np.flatnonzero(~self.below[first:])
+
+    def _is_joined(self, a: int, sense: float) -> bool:
+        return bool(self.up[a] >= 0 if sense > 0.0 else self.below[a])
 
     def _join_levels(self) -> None:
         """Join nodes of neighbouring levels that only fit to each other."""
-        pairs = [
-            (np.repeat(low, len(high)), np.tile(high, len(low)))
-            for low, high in zip(self.at[:-1], self.at[1:], strict=True)
-            if low.size and high.size
-        ]
-        if not pairs:
-            return
-        a, b = (np.concatenate(column) for column in zip(*pairs, strict=True))
-        d = self.motion.compute_short_difference(self.x[a], self.x[b])
-        t = self.t[a]
-        u = self.t[b]
-        size = np.linalg.norm(d, axis=-1)
-        straight = np.linalg.norm(d - 0.5 * size[:, None] * (t + u), axis=-1) <= STRAIGHT * size
-        fits = straight & (np.sum(t * u, axis=-1) >= math.cos(BEND)) & (size < 2.0 * LONGEST)
-        a = a[fits]
-        b = b[fits]
-        alone = (np.bincount(a)[a] == 1) & (np.bincount(b)[b] == 1)
-        for i, j, way in zip(a[alone].tolist(), b[alone].tolist(), d[fits][alone], strict=True):
-            self._link_nodes(i, j, (np.stack([self.x[i], self.x[i] + way]), self.t[[i, j]]))
+        rules = np.array([STRAIGHT, math.cos(BEND), 2.0 * LONGEST])
+        for i in range(0, len(self.first) - 2, PIECE):
+            check_for_stop()
+            levels = np.ascontiguousarray(self.first[i : i + PIECE + 2])
+            chain_curves.join_levels(self.x, self.t, levels, self.motion.period, rules, self.up)
+        self.below[self.up[self.up >= 0]] = True
 
-    def _link_nodes(self, a: int, b: int, piece: Piece) -> None:
-        self.up[a] = (b, piece)
-        self.below.add(b)
-
-    def _follow_curves(self, nodes: list[int], sense: float) -> list[list[Piece]]:
+    def _follow_curves(self, nodes: np.ndarray, sense: float) -> list[list[Piece]]:
         """Follow the curves from nodes up (sense 1) or down (-1) to the next level, or back.
 
         Returns the parts of each between folds.
         """
-        motion = self.motion
-        i = self.level[nodes]
+        i = self._find_levels(nodes)
         here = self.values[i]
         there = self.values[i + int(sense)]
-        curves = follow_curves(
-            motion,
+        return self.motion.follow_curves(
             self.x[nodes],
             sense * self.t[nodes],
             np.minimum(here, there),
             np.maximum(here, there),
         )
-        return split_at_folds(motion, curves)
+
+    def _find_levels(self, nodes: np.ndarray | int) -> Any:
+        return np.searchsorted(self.first, nodes, side="right") - 1
 
     def _keep_curve(self, a: int, sense: float, parts: list[Piece]) -> None:
         """Keep the parts of a curve from node a in `up`, `head`, `foot` and `loose`."""
-        i = int(self.level[a])
+        i = int(self._find_levels(a))
         j = i + int(sense)
         end = parts[-1][0][-1]
         value = end[self.motion.p]
@@ -677,8 +467,11 @@ class Net:
         b = self._find_node(end, arrived)
         if len(parts) == 1:
             x, t = parts[0]
-            if b is not None and b not in (self.below if sense > 0.0 else self.up):
-                self._link_nodes(*((a, b, (x, t)) if sense > 0.0 else (b, a, (x[::-1], -t[::-1]))))
+            if b is not None and not self._is_joined(b, -sense):
+                low, high, piece = (a, b, (x, t)) if sense > 0.0 else (b, a, (x[::-1], -t[::-1]))
+                self.up[low] = high
+                self.below[high] = True
+                self.way[low] = piece
             else:
                 (self.head if sense > 0.0 else self.foot)[a] = (
                     (x, t) if sense > 0.0 else (x[::-1], -t[::-1])
@@ -701,27 +494,30 @@ class Net:
 
     def _find_node(self, x: Array, level: int) -> int | None:
         """Find the node at a level that equals x (nf,), or None."""
-        some = self.at[level]
-        if not some.size:
+        first, last = self.first[level : level + 2]
+        if first == last:
             return None
-        away = np.abs(self.motion.compute_short_difference(self.x[some], x)).max(axis=-1)
+        away = np.abs(self.motion.compute_short_difference(self.x[first:last], x)).max(axis=-1)
         k = int(np.argmin(away))
-        return int(some[k]) if away[k] < SAME else None
+        return int(first + k) if away[k] < SAME else None
 
     def list_arcs(self) -> Arcs:
         """List all arcs, in the order of their beginnings."""
         out = [self._make_arc([piece]) for piece in self.loose]
-        for a in range(len(self.x)):
-            if a in self.below:
-                continue
+        up = self.up.tolist()
+        for a in self._list_lowest(0).tolist():
             parts = [self.foot[a]] if a in self.foot else []
-            k = a
-            while k in self.up:
-                k, piece = self.up[k]
-                parts.append(piece)
-            if k in self.head:
-                parts.append(self.head[k])
-            if parts:
+            run = [a]
+            while (b := up[run[-1]]) >= 0:
+                if run[-1] in self.way:
+                    parts += [(self.x[run], self.t[run]), self.way[run[-1]]]
+                    run = [b]
+                else:
+                    run.append(b)
+            parts.append((self.x[run], self.t[run]))
+            if run[-1] in self.head:
+                parts.append(self.head[run[-1]])
+            if sum(len(x) for x, _ in parts) > 1:
                 out.append(self._make_arc(parts))
         p = self.motion.p
         out.sort(key=lambda arc: (round(float(arc[0][0, p]), 6), *arc[0][0].round(6).tolist()))
@@ -732,18 +528,15 @@ class Net:
         return Arcs(self.motion, x, t, first, last)
 
     def _make_arc(self, parts: list[Piece]) -> Piece:
-        """Make one arc of consecutive pieces; the parameter rises and angles have no jumps."""
+        """Make one arc of consecutive pieces; the parameter rises and angles have no jumps.
+
+        Each piece begins with the last node of the one before.
+        """
         motion = self.motion
         p = motion.p
-        begins = np.array([x[0] for x, _ in parts])
-        ends = np.array([x[-1] for x, _ in parts])
-        jumps = motion.compute_short_difference(ends[:-1], begins[1:]) - (begins[1:] - ends[:-1])
-        turns = np.concatenate([np.zeros((1, motion.n)), np.cumsum(jumps, axis=0)])
-        more = [0] + [1] * (len(parts) - 1)
-        x = np.concatenate(
-            [x[i:] + turn for (x, _), turn, i in zip(parts, turns, more, strict=True)]
-        )
-        t = np.concatenate([t[i:] for (_, t), i in zip(parts, more, strict=True)])
+        x, t = (np.concatenate([parts[0][k], *(part[k][1:] for part in parts[1:])]) for k in (0, 1))
+        jumps = motion.compute_short_difference(x[:-1], x[1:]) - (x[1:] - x[:-1])
+        x[1:] += np.cumsum(jumps, axis=0)
         if x[-1, p] < x[0, p]:
             x = x[::-1]
             t = -t[::-1]
@@ -756,18 +549,20 @@ def trace_arcs(
 ) -> Arcs:
     """Trace the arcs through solutions x (M, nf) at rising values (m,) of the parameter.
 
-    `level` (M,) is the index of each solution's value.
+    `level` (M,) is the index of each solution's value, rising.
 
     Solutions at the values are joined to curves; from those that find no partner curves are
     followed.
     """
     x = x.copy()
     x[:, motion.p] = values[level]
-    better, good = motion.correct_points(
-        x, np.repeat(np.eye(x.shape[1])[[motion.p]], len(x), axis=0)
-    )
+    along = np.zeros_like(x)
+    along[:, motion.p] = 1.0
+    better, t, good = motion.correct_points(x, along)
     good &= np.abs(better - x).max(axis=-1, initial=0.0) < SAME
-    net = Net(motion, values, np.where(good[:, None], better, x), level)
+    bad = np.flatnonzero(~good)
+    better[bad], t[bad], _ = motion.correct_points(x[bad], along[bad], 0)
+    net = Net(motion, values, better, t, np.searchsorted(level, np.arange(len(values) + 1)))
     try:
         net.join_nodes()
     except TimeUp:  # the arcs that were joined by now
