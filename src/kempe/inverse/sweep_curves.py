@@ -7,8 +7,8 @@ are.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from kempe.budget import TimeUp, check_for_stop
 from kempe.inverse.closed_forms.chain_lines import Lines
 from kempe.kernels.compiled import chain_curves
 from kempe.kernels.forward.table_layout import SLIDE, get_tip_placement
+from kempe.model.model import keep_answers
 from kempe.numerics.clock import TimeLimit
 from kempe.numerics.curves import ACROSS, BEND, BLUNT, IDEAL_BEND, LEAST_STEP
 from kempe.numerics.intervals import SAME_ANGLE, unite_intervals
@@ -40,6 +41,9 @@ BISECTIONS = 45
 CORRECTIONS = 8
 """Steps of a correction at most."""
 
+SAME = 1e-4
+"""Distance below which the end of a curve is a solution that is known."""
+
 CONVERGED = 1e-13
 HELD = 1e-11
 """Error of a configuration that is corrected no further, and of one that is taken for good."""
@@ -55,6 +59,23 @@ ROOM = 32
 first."""
 
 TWO_PI = 2.0 * math.pi
+
+
+@keep_answers
+def _pack_chain(
+    system: Model, frame: str, axis: tuple[float, float, float] | None
+) -> tuple[Array, np.ndarray, Array]:
+    """Pack the chain of a frame, turned by the rotation (3, 3) that leads z to the axis; return this
+    rotation, and the table.
+    """
+    tool = np.eye(3) if axis is None else make_rotations_along(np.array(axis))
+    ints, floats = system.structure.table.pack_arrays(
+        [frame], system.structure.table.find_path(frame)
+    )
+    floats = floats.copy()
+    tip = get_tip_placement(ints, floats)
+    tip[:, :3] = tip[:, :3] @ tool
+    return tool, ints, floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +141,7 @@ class ChainMotion:
         The tip's z axis is turned into the tool's axis.
         """
         pointed = is_axis_task(self.task)
-        tool = make_rotations_along(np.array(self.axis)) if pointed else np.eye(3)
-        table = self.system.structure.table
-        ints, floats = table.pack_arrays([self.frame], table.find_path(self.frame))
-        floats = floats.copy()
-        tip = get_tip_placement(ints, floats)
-        tip[:, :3] = tip[:, :3] @ tool
+        tool, ints, floats = _pack_chain(self.system, self.frame, self.axis if pointed else None)
         target = np.column_stack([self.target[:3, :3] @ tool, self.target[:3, 3]])
         planar = self.system.dim == 2 and self.task == "pose"
         rows = np.array((1, 1, 0, 0, 0, 1) if planar else TASKS[self.task], dtype=float)
@@ -160,7 +176,8 @@ class ChainMotion:
 
         Returns nodes and tangents of the parts of each between folds. The last node is on the end
         `low` or `high` (m,) of the interval. Where the curve has no tangent, or is too long, the
-        last node is inside.
+        last node is inside. A curve that leads from one point to another has parts at one of them
+        only.
         """
         out: list[list[tuple[Array, Array]]] = []
         bounds = np.column_stack([low, high])
@@ -172,16 +189,26 @@ class ChainMotion:
             fold = np.empty(room, dtype=np.int64)
             last = np.empty(len(x[some]), dtype=np.int64)
             done = chain_curves.follow_curves(
-                *self._problem, x[some], t[some], bounds[some], self.p, points, tangents, fold, last
+                *self._problem,
+                x[some],
+                t[some],
+                bounds[some],
+                self.p,
+                self.period,
+                SAME,
+                points,
+                tangents,
+                fold,
+                last,
             )
             first = 0
+            folds = np.flatnonzero(fold[: last[done - 1]] if done else fold[:0]).tolist()
             for end in last[:done].tolist():
-                folds = first + np.flatnonzero(fold[first:end])
-                cuts = [first, *folds.tolist(), end - 1]
+                cuts = [first, *(k for k in folds if first < k < end), end - 1]
                 out.append(
                     [
-                        (points[i : j + 1].copy(), tangents[i : j + 1].copy())
-                        for i, j in zip(cuts[:-1], cuts[1:], strict=True)
+                        (points[i : j + 1], tangents[i : j + 1])
+                        for i, j in itertools.pairwise(cuts if first < end else [])
                     ]
                 )
                 first = end
@@ -292,34 +319,33 @@ class Arcs:
 
         Without `limited`, return all of it.
         """
-        low = self.values[self.first].tolist()
-        high = self.values[self.last].tolist()
         if not limited:
-            return [[pair] for pair in zip(low, high, strict=True)]
-        crossings: list[list[tuple[float, float]]] = [[] for _ in range(len(self))]
-        for i, place, value in self._iterate_crossings():
-            crossings[i].append((place, value))
-        pairs: list[tuple[int, tuple[float, float], tuple[float, float]]] = []
-        for i, found in enumerate(crossings):
-            steps = float(self.last[i] - self.first[i])
-            ends = [(0.0, low[i]), *sorted(found), (steps, high[i])]
-            pairs += [
-                (i, a, b) for a, b in zip(ends[:-1], ends[1:], strict=True) if b[0] - a[0] > 1e-11
-            ]
-        if not pairs:
-            return [[] for _ in crossings]
-        middles = np.array([0.5 * (a[0] + b[0]) for _, a, b in pairs])
-        arc = np.array([i for i, _, _ in pairs])
-        k = np.minimum(middles.astype(int), (self.last - self.first)[arc] - 1)
-        points = self.compute_points(self.first[arc] + k, middles - k)
-        parts: list[list[tuple[float, float]]] = [[] for _ in crossings]
-        for (i, a, b), inside in zip(pairs, self.motion.is_inside_limits(points), strict=True):
-            if inside:
-                parts[i].append((a[1], b[1]))
+            ends = self.values[self.first].tolist(), self.values[self.last].tolist()
+            return [[pair] for pair in zip(*ends, strict=True)]
+        arcs = np.arange(len(self))
+        crossed, places, values = self._find_crossings()
+        arc = np.concatenate([arcs, arcs, crossed])
+        place = np.concatenate([self.first, self.last, places])
+        value = np.concatenate([self.values[self.first], self.values[self.last], values])
+        order = np.lexsort((value, place, arc))
+        arc, place, value = arc[order], place[order], value[order]
+        pairs = np.flatnonzero((arc[1:] == arc[:-1]) & (np.diff(place) > 1e-11))
+        arc = arc[pairs]
+        middle = 0.5 * (place[pairs] + place[pairs + 1])
+        k = np.clip(middle.astype(np.int64), self.first[arc], self.last[arc] - 1)
+        inside = self.motion.is_inside_limits(self.compute_points(k, middle - k))
+        parts: list[list[tuple[float, float]]] = [[] for _ in range(len(self))]
+        for i, a, b in zip(
+            arc[inside].tolist(),
+            value[pairs[inside]].tolist(),
+            value[pairs[inside] + 1].tolist(),
+            strict=True,
+        ):
+            parts[i].append((a, b))
         return [list(unite_intervals(part, slack=SAME_ANGLE)) for part in parts]
 
-    def _iterate_crossings(self) -> Iterator[tuple[int, float, float]]:
-        """Yield arc, place in its steps and parameter where another joint passes a limit."""
+    def _find_crossings(self) -> tuple[np.ndarray, Array, Array]:
+        """Find where other joints pass their limits: arcs, places in the steps and parameters (m,)."""
         m = self.motion
         steps = np.delete(np.arange(len(self.x)), self.last)
         room = len(steps) + 1
@@ -340,26 +366,21 @@ class Arcs:
         x, _, good = m.correct_points(first, np.eye(m.n)[joint])
         size = np.linalg.norm(self.x[at + 1] - self.x[at], axis=-1)
         good &= np.linalg.norm(x - first, axis=-1) < 0.05 * size + 1e-9
-        arc = np.searchsorted(self.last, at)
-        for r in rows:
-            if not good[r]:  # the joint only grazes its limit: found on the curve, step by step
+        for r in np.flatnonzero(~good):  # the joint only grazes its limit: found step by step
+            step = at[[r]]
 
-                def compute_offset(s: float, r: Any = r) -> float:
-                    return float(
-                        self.compute_points(at[[r]], np.array([s]))[0, joint[r]] - level[r]
-                    )
+            def compute_offset(s: float, r: Any = r, step: np.ndarray = step) -> float:
+                return float(self.compute_points(step, np.array([s]))[0, joint[r]] - level[r])
 
-                s = find_sign_change(compute_offset, float(before[r]), float(after[r]))
-                if s is None:
-                    continue
+            s = find_sign_change(compute_offset, float(before[r]), float(after[r]))
+            if s is not None:
                 part[r] = s
-                x[r] = self.compute_points(at[[r]], np.array([s]))[0]
-            ends = self.values[[self.first[arc[r]], self.last[arc[r]]]]
-            yield (
-                int(arc[r]),
-                float(at[r] - self.first[arc[r]] + part[r]),
-                float(np.clip(x[r, m.p], *ends)),
-            )
+                x[r] = self.compute_points(step, np.array([s]))[0]
+                good[r] = True
+        at = at[good]
+        arc = np.searchsorted(self.last, at)
+        ends = self.values[self.first[arc]], self.values[self.last[arc]]
+        return arc, at + part[good], np.clip(x[good, m.p], *ends)
 
 
 def interpolate_hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
@@ -378,9 +399,6 @@ def evaluate_cubics(x0: Array, d0: Array, x1: Array, d1: Array, s: Array) -> Arr
 
 
 # ---- arcs through solutions at many values of the parameter
-
-SAME = 1e-4
-"""Distance below which the end of a path is a solution that is known."""
 
 STRAIGHT = 0.1
 """How far a step may be from the mean of the tangents at its ends, as a fraction of its length."""
@@ -418,10 +436,8 @@ class Net:
         bottom = self.first[1]
         for sense, ended in ((1.0, self.head), (-1.0, self.foot)):
             left = np.flatnonzero(self.up[:top] < 0) if sense > 0.0 else self._list_lowest(bottom)
-            left = left[[a not in ended for a in left.tolist()]] if len(left) else left
-            for a, curve in zip(left.tolist(), self._follow_curves(left, sense), strict=True):
-                if not self._is_joined(a, sense) and a not in ended:
-                    self._keep_curve(a, sense, curve)
+            left = np.array([a for a in left.tolist() if a not in ended], dtype=np.int64)
+            self._keep_curves(left, sense, self._follow_curves(left, sense))
 
     def _list_lowest(self, first: int) -> np.ndarray:
         """List the nodes from `first` on that are not joined to one below."""
@@ -457,14 +473,28 @@ class Net:
     def _find_levels(self, nodes: np.ndarray | int) -> Any:
         return np.searchsorted(self.first, nodes, side="right") - 1
 
-    def _keep_curve(self, a: int, sense: float, parts: list[Piece]) -> None:
-        """Keep the parts of a curve from node a in `up`, `head`, `foot` and `loose`."""
-        i = int(self._find_levels(a))
-        j = i + int(sense)
-        end = parts[-1][0][-1]
-        value = end[self.motion.p]
-        arrived = i if abs(value - self.values[i]) < abs(value - self.values[j]) else j
-        b = self._find_node(end, arrived)
+    def _keep_curves(self, nodes: np.ndarray, sense: float, curves: list[list[Piece]]) -> None:
+        """Keep the parts of curves from nodes."""
+        some = [k for k, parts in enumerate(curves) if parts]
+        ended = self.head if sense > 0.0 else self.foot
+        ends = np.array([curves[k][-1][0][-1] for k in some]).reshape(-1, self.motion.n)
+        here = self._find_levels(nodes[some])
+        there = here + int(sense)
+        value = ends[:, self.motion.p]
+        back = np.abs(value - self.values[here]) < np.abs(value - self.values[there])
+        found = np.empty(len(some), dtype=np.int64)
+        chain_curves.find_nodes(
+            self.x, self.first, self.motion.period, np.where(back, here, there), ends, SAME, found
+        )
+        for k, b, returns in zip(some, found.tolist(), back.tolist(), strict=True):
+            a = int(nodes[k])
+            if not self._is_joined(a, sense) and a not in ended:
+                self._keep_curve(a, sense, curves[k], b if b >= 0 else None, returns)
+
+    def _keep_curve(
+        self, a: int, sense: float, parts: list[Piece], b: int | None, returns: bool
+    ) -> None:
+        """Keep the parts of a curve from node a to node b in `up`, `head`, `foot` and `loose`."""
         if len(parts) == 1:
             x, t = parts[0]
             if b is not None and not self._is_joined(b, -sense):
@@ -480,7 +510,7 @@ class Net:
         self._keep_fold_piece(a, sense, parts[0])
         if b is not None:
             x, t = parts[-1]
-            self._keep_fold_piece(b, sense if arrived == i else -sense, (x[::-1], -t[::-1]))
+            self._keep_fold_piece(b, sense if returns else -sense, (x[::-1], -t[::-1]))
             parts.pop()
         self.loose += parts[1:]
 
@@ -492,56 +522,73 @@ class Net:
         else:
             self.foot[a] = x[::-1], -t[::-1]
 
-    def _find_node(self, x: Array, level: int) -> int | None:
-        """Find the node at a level that equals x (nf,), or None."""
-        first, last = self.first[level : level + 2]
-        if first == last:
-            return None
-        away = np.abs(self.motion.compute_short_difference(self.x[first:last], x)).max(axis=-1)
-        k = int(np.argmin(away))
-        return int(first + k) if away[k] < SAME else None
-
     def list_arcs(self) -> Arcs:
         """List all arcs, in the order of their beginnings."""
-        out = [self._make_arc([piece]) for piece in self.loose]
-        up = self.up.tolist()
-        for a in self._list_lowest(0).tolist():
-            parts = [self.foot[a]] if a in self.foot else []
-            run = [a]
-            while (b := up[run[-1]]) >= 0:
-                if run[-1] in self.way:
-                    parts += [(self.x[run], self.t[run]), self.way[run[-1]]]
-                    run = [b]
-                else:
-                    run.append(b)
-            parts.append((self.x[run], self.t[run]))
-            if run[-1] in self.head:
-                parts.append(self.head[run[-1]])
-            if sum(len(x) for x, _ in parts) > 1:
-                out.append(self._make_arc(parts))
         p = self.motion.p
-        out.sort(key=lambda arc: (round(float(arc[0][0, p]), 6), *arc[0][0].round(6).tolist()))
-        last = np.cumsum([len(x) for x, _ in out], dtype=np.int64) - 1
-        first = np.concatenate([[0], last[:-1] + 1])[: len(out)].astype(np.int64)
-        none = np.zeros((0, self.motion.n))
-        x, t = (np.concatenate([none, *(arc[i] for arc in out)]) for i in (0, 1))
-        return Arcs(self.motion, x, t, first, last)
+        arcs = [
+            [(x, t) if x[-1, p] > x[0, p] else (x[::-1], -t[::-1])] for x, t in self.loose
+        ] + self._list_chains()
+        arcs = [parts for parts in arcs if len(parts) > 1 or len(parts[0][0]) > 1]
+        if not arcs:
+            none = np.zeros(0, dtype=np.int64)
+            return Arcs(self.motion, *np.zeros((2, 0, self.motion.n)), none, none)
+        begins = np.array([parts[0][0][0] for parts in arcs]).round(6)
+        arcs = [arcs[k] for k in np.lexsort((*begins.T[::-1], begins[:, p]))]
+        # each piece begins with the last node of the one before
+        pieces = [
+            (x[int(k > 0) :], t[int(k > 0) :]) for parts in arcs for k, (x, t) in enumerate(parts)
+        ]
+        x, t = (np.concatenate([piece[k] for piece in pieces]) for k in (0, 1))
+        sizes = np.array([1 + sum(len(x) - 1 for x, _ in parts) for parts in arcs])
+        last = np.cumsum(sizes) - 1
+        first = last - sizes + 1
+        way = np.diff(x, axis=0)
+        jumps = self.motion.compute_short_difference(x[:-1], x[1:]) - way
+        jumps[last[:-1]] = 0.0
+        turns = np.concatenate([np.zeros((1, self.motion.n)), np.cumsum(jumps, axis=0)])
+        x += turns - np.repeat(turns[first], sizes, axis=0)
+        return Arcs(self.motion, *_leave_out_falling_nodes(x, t, p, first, last))
 
-    def _make_arc(self, parts: list[Piece]) -> Piece:
-        """Make one arc of consecutive pieces; the parameter rises and angles have no jumps.
+    def _list_chains(self) -> list[list[Piece]]:
+        """List the pieces of all arcs that meet a value."""
+        order, last = np.empty((2, len(self.x)), dtype=np.int64)
+        count = chain_curves.list_chains(self.up, order, last)
+        x = self.x[order]
+        t = self.t[order]
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        cuts = sorted((int(place[a]), a) for a in self.way)
+        out: list[list[Piece]] = []
+        i = 0
+        for j in last[:count].tolist():
+            begin = int(order[i])
+            end = int(order[j - 1])
+            parts = [self.foot[begin]] if begin in self.foot else []
+            while cuts and cuts[0][0] < j:
+                k, a = cuts.pop(0)
+                parts += [(x[i : k + 1], t[i : k + 1]), self.way[a]]
+                i = k + 1
+            parts.append((x[i:j], t[i:j]))
+            if end in self.head:
+                parts.append(self.head[end])
+            out.append(parts)
+            i = j
+        return out
 
-        Each piece begins with the last node of the one before.
-        """
-        motion = self.motion
-        p = motion.p
-        x, t = (np.concatenate([parts[0][k], *(part[k][1:] for part in parts[1:])]) for k in (0, 1))
-        jumps = motion.compute_short_difference(x[:-1], x[1:]) - (x[1:] - x[:-1])
-        x[1:] += np.cumsum(jumps, axis=0)
-        if x[-1, p] < x[0, p]:
-            x = x[::-1]
-            t = -t[::-1]
-        keep = np.concatenate([[True], np.diff(np.maximum.accumulate(x[:, p])) > 0.0])
-        return x[keep], t[keep]
+
+def _leave_out_falling_nodes(
+    x: Array, t: Array, p: int, first: np.ndarray, last: np.ndarray
+) -> tuple[Array, Array, np.ndarray, np.ndarray]:
+    """Leave out the nodes at which the parameter p is not larger than at all before on the arc."""
+    keep = np.ones(len(x), dtype=bool)
+    keep[1:] = np.diff(x[:, p]) > 0.0
+    keep[first] = True
+    if keep.all():
+        return x, t, first, last
+    for i, j in zip(first, last + 1, strict=True):
+        keep[i + 1 : j] = np.diff(np.maximum.accumulate(x[i:j, p])) > 0.0
+    number = np.cumsum(keep) - 1
+    return x[keep], t[keep], number[first], number[last]
 
 
 def trace_arcs(

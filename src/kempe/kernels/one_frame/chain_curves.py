@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kempe.kernels.base._jit import device, kernel, routine
-from kempe.kernels.base.declare import INT, OUT, OUTI, F, I
+from kempe.kernels.base.declare import FLOAT, INT, OUT, OUTI, F, I
 from kempe.kernels.base.scratch import advance_pointer, copy_numbers
 from kempe.kernels.base.vectors import get_pointer, keep_alive
 from kempe.kernels.constraints.envelope import dot
@@ -371,6 +371,18 @@ def measure_distance(a, b, n):
 
 
 @device
+def measure_gap(a, b, period, n):
+    """Return the largest difference of the coordinates of two points, the short way."""
+    gap = 0.0
+    for i in range(n):
+        d = b[i] - a[i]
+        if abs(d) > 0.5 * period[i]:
+            d -= period[i] * round(d / period[i])
+        gap = max(gap, abs(d))
+    return gap
+
+
+@device
 def measure_bend(u, v, n):
     """Return the angle between two unit tangents."""
     return 2.0 * math.asin(min(1.0, 0.5 * measure_distance(u, v, n)))
@@ -521,6 +533,8 @@ def write_folds(c, e, p, out_x, out_t, fold, count):
     F("N", "n"),
     F("N", 2),
     INT,
+    F("n"),
+    FLOAT,
     OUT("K", "n"),
     OUT("K", "n"),
     OUTI("K"),
@@ -538,6 +552,8 @@ def follow_curves(
     t,
     bounds,
     p,
+    period,
+    same,
     out_x,
     out_t,
     fold,
@@ -546,10 +562,11 @@ def follow_curves(
     """Follow curves from points x along tangents t until coordinate p leaves its bounds; return
     the number of curves that there was room for.
 
-    The first arguments are those of `correct_points`. Written are the points and tangents of one
-    curve after the other, whether p turns back there, and the place after the last point of each
-    curve. The last point is on one of the bounds; where the curve has no tangent, or is too long,
-    between them.
+    The first arguments are those of `correct_points`. period: of each coordinate, or infinite; a
+    curve that leads back to another start, nearer than `same`, is followed from one of the two only,
+    the other one has no points. Written are the points and tangents of one curve after the other,
+    whether p turns back there, and the place after the last point of each curve. The last point is
+    on one of the bounds; where the curve has no tangent, or is too long, between them.
     """
     n = x.shape[1]
     nq = base.shape[0]
@@ -579,6 +596,11 @@ def follow_curves(
     room = out_x.shape[0]
     count = 0
     for k in range(x.shape[0]):
+        last[k] = 0
+    for k in range(x.shape[0]):
+        if last[k] < 0:  # followed from its other end
+            last[k] = count
+            continue
         if count >= room:
             keep_alive(block)
             return k
@@ -636,6 +658,10 @@ def follow_curves(
             if done or h < rules[9]:
                 break
         last[k] = count
+        if abs(a[p] - x[k, p]) < 0.5 * (bounds[k, 1] - bounds[k, 0]):
+            for other in range(k + 1, x.shape[0]):
+                if measure_gap(a, advance_pointer(points, n * other), period, n) < same:
+                    last[other] = -1
     keep_alive(block)
     return x.shape[0]
 
@@ -689,6 +715,52 @@ def join_levels(x, t, first, period, rules, up):
         for i in range(first[level], first[level + 1]):
             if up[i] >= 0 and met[up[i]] != 1:
                 up[i] = -1
+
+
+@kernel(F("M", "n"), I("_"), F("n"), I("N"), F("N", "n"), FLOAT, OUTI("N"), returns=False)
+def find_nodes(x, first, period, level, ends, same, found):
+    """Find the point of a level that is nearest to each end, if it is nearer than `same`, else -1.
+
+    The points first[i] to first[i + 1] are those of level i.
+    """
+    n = x.shape[1]
+    points = get_pointer(x)
+    others = get_pointer(ends)
+    for k in range(ends.shape[0]):
+        least = same
+        found[k] = -1
+        for i in range(first[level[k]], first[level[k] + 1]):
+            gap = measure_gap(
+                advance_pointer(others, n * k), advance_pointer(points, n * i), period, n
+            )
+            if gap < least:
+                least = gap
+                found[k] = i
+
+
+@kernel(I("N"), OUTI("N"), OUTI("N"))
+def list_chains(up, order, last):
+    """List the points of chains, each led on by `up` until that is -1; return their number.
+
+    Written are the points of one chain after the other, and the place after the last of each.
+    """
+    below = np.zeros(up.shape[0], dtype=np.int64)
+    for i in range(up.shape[0]):
+        if up[i] >= 0:
+            below[up[i]] = 1
+    place = 0
+    count = 0
+    for i in range(up.shape[0]):
+        if below[i]:
+            continue
+        k = i
+        while k >= 0:
+            order[place] = k
+            place += 1
+            k = up[k]
+        last[count] = place
+        count += 1
+    return count
 
 
 @kernel(F("N", "n"), F("N", "n"), I("_"), F(2, "n"), F("n"), INT, OUTI("M", 2), OUT("M", 4))
