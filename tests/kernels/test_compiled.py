@@ -621,7 +621,9 @@ m.revolute("A", m.ground, crank)
 m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
 m.universal("B", crank, rod, at=(0.5, 0, 0))
 m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
-print(kempe.load("four_bar").trace("A").closed, m.build().trace("D", {"A": 0.3}).closed)
+panda = kempe.load("panda")
+sweep = panda.inverse.sweep(panda.fk(panda.q("ready"), "panda_hand"), "panda_hand", n=9)
+print(kempe.load("four_bar").trace("A").closed, m.build().trace("D", {"A": 0.3}).closed, bool(sweep))
 """
 
 
@@ -630,7 +632,7 @@ print(kempe.load("four_bar").trace("A").closed, m.build().trace("D", {"A": 0.3})
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no guards on Windows")
 @pytest.mark.parametrize("guard", ["after", "before"])
 def test_steps_of_curves_stay_in_their_memory(guard):
-    assert printed(GUARDED_CURVES, KEMPE_GUARD=guard) == "True True"
+    assert printed(GUARDED_CURVES, KEMPE_GUARD=guard) == "True True True"
 
 
 UNSET = """

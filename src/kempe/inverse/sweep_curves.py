@@ -44,6 +44,9 @@ CORRECTIONS = 8
 SAME = 1e-4
 """Distance below which the end of a curve is a solution that is known."""
 
+AT_END = 1e-14
+"""Difference of a parameter, relative to its size, that is rounding at the end of an arc."""
+
 CONVERGED = 1e-13
 HELD = 1e-11
 """Error of a configuration that is corrected no further, and of one that is taken for good."""
@@ -287,11 +290,12 @@ class Arcs:
         known = self.values
         first = self.first[arc]
         last = self.last[arc]
-        there = (values >= known[first]) & (values <= known[last])
+        inside = np.clip(values, known[first], known[last])
+        there = np.abs(inside - values) <= AT_END * (1.0 + np.abs(values))
         out = np.full((len(values), self.x.shape[1]), np.nan)
         if not there.any():
             return out, there
-        v = values[there]
+        v = inside[there]
         k = np.empty(len(v), dtype=np.int64)
         for i in np.unique(arc[there]):
             own = arc[there] == i
@@ -307,7 +311,7 @@ class Arcs:
         good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
         for ends in (first, last):  # folds, where the corrector has nothing to hold on to
             end = ends[there]
-            at_end = np.abs(v - known[end]) <= 1e-14 * (1.0 + np.abs(known[end]))
+            at_end = np.abs(v - known[end]) <= AT_END * (1.0 + np.abs(known[end]))
             better[at_end] = self.x[end[at_end]]
             good[at_end] = True
         out[there] = better
@@ -322,9 +326,9 @@ class Arcs:
         if not limited:
             ends = self.values[self.first].tolist(), self.values[self.last].tolist()
             return [[pair] for pair in zip(*ends, strict=True)]
-        arcs = np.arange(len(self))
+        own = np.arange(len(self), dtype=np.int64)
         crossed, places, values = self._find_crossings()
-        arc = np.concatenate([arcs, arcs, crossed])
+        arc: np.ndarray = np.concatenate([own, own, crossed])
         place = np.concatenate([self.first, self.last, places])
         value = np.concatenate([self.values[self.first], self.values[self.last], values])
         order = np.lexsort((value, place, arc))
@@ -341,24 +345,25 @@ class Arcs:
             value[pairs[inside] + 1].tolist(),
             strict=True,
         ):
-            parts[i].append((a, b))
+            parts[int(i)].append((a, b))
         return [list(unite_intervals(part, slack=SAME_ANGLE)) for part in parts]
 
     def _find_crossings(self) -> tuple[np.ndarray, Array, Array]:
         """Find where other joints pass their limits: arcs, places in the steps and parameters (m,)."""
         m = self.motion
-        steps = np.delete(np.arange(len(self.x)), self.last)
+        steps: np.ndarray = np.delete(np.arange(len(self.x)), self.last)
         room = len(steps) + 1
         while True:
             found = np.empty((room, 2), dtype=np.int64)
             places = np.empty((room, 4))
-            count = chain_curves.find_crossings(
+            count: int = chain_curves.find_crossings(
                 self.x, self.t, steps, m.limits, m.period, m.p, found, places
             )
             if count <= room:
                 break
             room = count
-        at, joint = found[:count].T
+        at: np.ndarray = found[:count, 0]
+        joint = found[:count, 1]
         level, part, before, after = places[:count].T
         rows = np.arange(count)
         first = self.guess_points(at, part)
@@ -378,7 +383,7 @@ class Arcs:
                 x[r] = self.compute_points(step, np.array([s]))[0]
                 good[r] = True
         at = at[good]
-        arc = np.searchsorted(self.last, at)
+        arc = np.asarray(np.searchsorted(self.last, at))
         ends = self.values[self.first[arc]], self.values[self.last[arc]]
         return arc, at + part[good], np.clip(x[good, m.p], *ends)
 
@@ -525,13 +530,15 @@ class Net:
     def list_arcs(self) -> Arcs:
         """List all arcs, in the order of their beginnings."""
         p = self.motion.p
-        arcs = [
+        arcs: list[list[Piece]] = [
             [(x, t) if x[-1, p] > x[0, p] else (x[::-1], -t[::-1])] for x, t in self.loose
-        ] + self._list_chains()
+        ]
+        arcs += self._list_chains()
         arcs = [parts for parts in arcs if len(parts) > 1 or len(parts[0][0]) > 1]
         if not arcs:
             none = np.zeros(0, dtype=np.int64)
-            return Arcs(self.motion, *np.zeros((2, 0, self.motion.n)), none, none)
+            nothing = np.zeros((0, self.motion.n))
+            return Arcs(self.motion, nothing, nothing, none, none)
         begins = np.array([parts[0][0][0] for parts in arcs]).round(6)
         arcs = [arcs[k] for k in np.lexsort((*begins.T[::-1], begins[:, p]))]
         # each piece begins with the last node of the one before

@@ -5,10 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numpy as np
-
-from kempe.spatial import Array
-
 ROUNDING = 1e-15
 """Distance of two points, absolute and as a part of their size, between which a function is not
 looked at again."""
@@ -55,43 +51,3 @@ def find_sign_change(f: Callable[[float], float], low: float, high: float) -> fl
                 fc - fb
             )
         part = min(max(part, margin), 1.0 - margin)
-
-
-def find_sign_changes(
-    f: Callable[[Array, np.ndarray], Array], low: tuple[Array, Array], high: tuple[Array, Array]
-) -> Array:
-    """Find where functions change their signs, many (m,) at once; see `find_sign_change`.
-
-    `f` gives values (k,) at places (k,) of the functions with numbers (k,). `low` and `high` are
-    places (m,) and values (m,) there, of different signs.
-    """
-    b, fb = (x.copy() for x in low)
-    a, fa = (x.copy() for x in high)
-    part = np.full(len(a), 0.5)
-    best = np.where(np.abs(fa) < np.abs(fb), a, b)
-    left = np.flatnonzero((fa != 0.0) & (fb != 0.0))
-    while len(left):
-        a0, fa0, b0, fb0 = a[left], fa[left], b[left], fb[left]
-        x = a0 + part[left] * (b0 - a0)
-        fx = f(x, left)
-        same = (fx > 0.0) == (fa0 > 0.0)
-        c = np.where(same, a0, b0)
-        fc = np.where(same, fa0, fb0)
-        b0 = np.where(same, b0, a0)
-        fb0 = np.where(same, fb0, fa0)
-        a[left], fa[left], b[left], fb[left] = x, fx, b0, fb0
-        nearer = np.abs(fx) < np.abs(fb0)
-        best[left] = np.where(nearer, x, b0)
-        least = np.where(nearer, fx, fb0)
-        margin = ROUNDING * (1.0 + 2.0 * np.abs(best[left])) / np.maximum(np.abs(b0 - x), 1e-300)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            xi = (x - b0) / (c - b0)
-            phi = (fx - fb0) / (fc - fb0)
-            inverse = fx / (fb0 - fx) * fc / (fb0 - fc) + (c - x) / (b0 - x) * fx / (
-                fc - fx
-            ) * fb0 / (fc - fb0)
-        safe = (phi * phi < xi) & ((1.0 - phi) ** 2 < 1.0 - xi)
-        go_on = (least != 0.0) & (margin <= 0.5) & ~np.isnan(fx)
-        part[left] = np.clip(np.where(safe, inverse, 0.5), margin, np.maximum(1.0 - margin, margin))
-        left = left[go_on]
-    return best
