@@ -622,7 +622,7 @@ m.revolute("D", m.ground, rocker, at=(2, 0, 0.5), rpy=(0.5, 1.2, 0))
 m.universal("B", crank, rod, at=(0.5, 0, 0))
 m.spherical("C", rod, rocker, at=(2, 0, 0), child_at=(1, 0, 0), cut=True)
 panda = kempe.load("panda")
-sweep = panda.inverse.sweep(panda.fk(panda.q("ready"), "panda_hand"), "panda_hand", n=9)
+sweep = panda.inverse.sweep(panda.fk(panda.q("ready"), "panda_hand_tcp"), "panda_hand_tcp", n=9)
 print(kempe.load("four_bar").trace("A").closed, m.build().trace("D", {"A": 0.3}).closed, bool(sweep))
 """
 
