@@ -12,7 +12,7 @@ from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import unwrap_scalar
 from kempe.constraints.clearances import Apart
 from kempe.errors import InputError, UnknownNameError
-from kempe.forward.fk import fk, jacobian
+from kempe.forward.fk import find_query, fk, jacobian
 from kempe.geometry.solids import Gap, Placed, Solids, get_solids
 from kempe.model.configurations import read_q
 from kempe.model.model import store_answer
@@ -133,15 +133,15 @@ def find_nearest_bodies(system: Model, q: Any, pairs: Pairs | None = None) -> Ne
 
 def compute_gap_gradients(system: Model, watch: Watch, q: Array, gaps: Sequence[Gap]) -> Array:
     """Compute the derivatives (n, nv) of distances at q (nq,) by the velocities."""
-    names = {name for gap in gaps for name in watch.name_bodies(gap.couple)}
-    X = {name: fk(system, q, name) for name in names}
-    J = {name: jacobian(system, q, name) for name in names}
+    names = dict.fromkeys(name for gap in gaps for name in watch.name_bodies(gap.couple))
+    at = {name: find_query(system, name).pose_and_jacobian(q) for name in names}
     out = np.zeros((len(gaps), system.nv))
     for row, gap in zip(out, gaps, strict=True):
         for sign, name, x in zip(
             (-1.0, 1.0), watch.name_bodies(gap.couple), gap.points, strict=True
         ):
-            row += sign * _compute_point_rate(J[name], x - X[name][:3, 3], gap.normal)
+            X, J = at[name]
+            row += sign * _compute_point_rate(J, x - X[:3, 3], gap.normal)
     return out
 
 

@@ -104,6 +104,30 @@ class Stage(NamedTuple):
         return math.sqrt(square)
 
 
+class NearRows(NamedTuple):
+    """How the distances of near bodies change from a configuration on, to first order.
+
+    `rates` (k, nv) are their derivatives at `q` by the velocities, and `least` (k,) is by how much
+    each must grow within the step, both in characteristic lengths. A distance may shrink where
+    that is negative.
+    """
+
+    q: Array
+    rates: Array
+    least: Array
+
+    def pack(self, scale: Array, dt: float) -> Array:
+        """Pack derivatives by scaled velocities and least speeds, row by row, for the kernel."""
+        return np.column_stack([self.rates * scale, self.least / dt]).ravel()
+
+    def make_stage(self, system: Model, scale: Array, q: Array, dt: float) -> Stage:
+        """Make the stage that keeps bodies apart, at configurations (..., nq)."""
+        moved = system.structure.layout.compute_difference(np.broadcast_to(self.q, q.shape), q)
+        low = (self.least - moved @ self.rates.T) / dt
+        rows = np.broadcast_to(self.rates * scale, (*q.shape[:-1], *self.rates.shape))
+        return Stage(rows[..., :0, :], low[..., :0], rows, low, np.full(low.shape, math.inf))
+
+
 class Left(NamedTuple):
     """What constraints leave of the velocities at a configuration: a `basis` (nv, k) of what
     equations do, velocities (nv,) that these ask for at `rest`, and between what declared one-sided
@@ -727,10 +751,14 @@ def make_convex_problem(H: Array, pull: Array, J: Array, damping: float) -> tupl
 class StageMaker:
     """The stages of tasks, with all that does not depend on the configuration looked up once."""
 
-    def __init__(self, problem: Demands, dt: float):
+    def __init__(self, problem: Demands, dt: float, near: NearRows | None = None):
         self.evaluate = problem.packed.evaluate_tasks
         self.pins = problem.pins
         packed = problem.packed
+        self.system = packed.system
+        self.scale = packed.scale
+        self.dt = dt
+        self.near = near
         levels, strengths, *_ = problem.levels
         counts = np.array([len(t.row_names) for t in packed.loops.ties])
         own = packed.rows >= 0
@@ -753,13 +781,17 @@ class StageMaker:
         """Rows of equations and of inequalities of each stage, and whether it is hard."""
 
     def __call__(self, q: Array) -> list[Stage]:
-        """Make the stages at q (..., nq): the errors of the tasks vanish after dt."""
+        """Make the stages at q (..., nq): near bodies stay apart, and errors of the tasks vanish
+        after dt.
+        """
+        near = self.near
+        first = [] if near is None else [near.make_stage(self.system, self.scale, q, self.dt)]
         error, J = self.evaluate(q, self.pins)
         J = self.weight * J
         error = self.rate * error
         low = self.low - error
         high = self.high - error
-        return [
+        return first + [
             Stage(
                 J[..., equal, :],
                 low[..., equal],

@@ -19,7 +19,7 @@ from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.forward.fk import find_query, refuse_bad_configuration
 from kempe.inverse.chain.serial_chain import find_chain, find_obstacle
-from kempe.inverse.constrained_step import ConstrainedSteps, Stage, StageMaker
+from kempe.inverse.constrained_step import ConstrainedSteps, NearRows, Stage, StageMaker
 from kempe.kernels.compiled import make_allocator, servo_step, task_step
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -370,17 +370,12 @@ class BoundTaskStep:
         layout = system.structure.layout
         q_of = np.full(system.nv, -1)
         q_of[layout.vector_v] = layout.vector_q
-        self.order = np.concatenate(
-            [
-                [last, len(layout.quaternion_q), rates],
-                level,
-                equal,
-                is_hard,
-                q_of,
-                layout.quaternion_q,
-                layout.quaternion_v,
-            ]
-        ).astype(np.int64)
+        self.rates = rates
+        self._levels = level, equal, is_hard
+        self._places = np.concatenate([q_of, layout.quaternion_q, layout.quaternion_v])
+        self._balls = len(layout.quaternion_q)
+        self._orders: dict[int, np.ndarray] = {}
+        self.scale = packed.scale
         self.numbers = np.concatenate(
             [
                 packed.scale,
@@ -393,8 +388,37 @@ class BoundTaskStep:
         )
         self.new = make_allocator(system.nq + 2 * system.nv + 1 + rates)
 
+    def _find_order(self, near: int) -> np.ndarray:
+        """Return the order of the levels, of which `near` rows of near bodies are the first."""
+        found = self._orders.get(near)
+        if found is not None:
+            return found
+        level, equal, is_hard = self._levels
+        first = int(near > 0)
+        made = np.concatenate(
+            [
+                [len(is_hard) - 1 + first, self._balls, self.rates],
+                np.where(level > 0, level + first, 0),
+                np.full(near, 1),
+                equal,
+                np.full(near, 0),
+                is_hard[:1],
+                np.full(first, 1),
+                is_hard[1:],
+                self._places,
+            ]
+        ).astype(np.int64)
+        return store_answer(self._orders, near, made, KEPT)
+
     def take_step(
-        self, pins: Array, q: Array, dt: float, speed: Array, damping: float, default: bool
+        self,
+        pins: Array,
+        q: Array,
+        dt: float,
+        speed: Array,
+        damping: float,
+        default: bool,
+        near: NearRows | None,
     ) -> IkStep | None:
         """Take a step towards the goals in `pins` (k,); None where these or q are none."""
         system = self.system
@@ -406,8 +430,9 @@ class BoundTaskStep:
             loops.plan,
             loops.weights,
             pins,
-            self.order,
+            self._find_order(0 if near is None else len(near.least)),
             self.numbers,
+            NONE if near is None else near.pack(self.scale, dt),
             q,
             speed,
             dt,
@@ -472,10 +497,12 @@ def _make_task_step(
     speed: Array,
     default: bool,
     damping: float,
+    near: NearRows | None = None,
 ) -> IkStep:
     """Make a step for tasks: in one kernel call where no loops or declared constraints hold.
 
-    The kernel gives no step for goals that are none; the general way says why.
+    Bodies at `near` keep apart, before all tasks. The kernel gives no step for goals that are none;
+    the general way says why.
     """
     given = list(wanted) if is_sequence(wanted) else [wanted]
     if any(isinstance(t, Apart) for t in given):
@@ -486,7 +513,9 @@ def _make_task_step(
             q,
             given,
             dt,
-            lambda tasks: _make_task_step(system, q, tasks, dt, speed, default, damping),
+            lambda tasks, near: _make_task_step(
+                system, q, tasks, dt, speed, default, damping, near
+            ),
         )
     from kempe.inverse.tasks.search import make_distinct_tasks
 
@@ -504,10 +533,13 @@ def _make_task_step(
             np.ascontiguousarray(speed),
             float(damping),
             default,
+            near,
         )
         if answer is not None:
             return answer
-    return _make_constrained_step(system, q, wanted, None, dt, speed, default, damping, False, None)
+    return _make_constrained_step(
+        system, q, wanted, None, dt, speed, default, damping, False, None, near
+    )
 
 
 def _make_answer(
@@ -603,13 +635,14 @@ def _make_constrained_step(
     damping: float,
     direction: bool,
     weights: Array | None,
+    near: NearRows | None = None,
 ) -> IkStep:
     """Make a step for a frame, or for tasks, while loops and relations stay closed."""
     if not np.isfinite(q).all():
         refuse_bad_configuration(system, q)
     closed = _make_constrained_steps(system)
     at, J, asked = _read_wanted_motion(
-        system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights
+        system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights, near
     )
     low, high = closed.compute_velocity_bounds(q, dt, speed)
     slow = SLOW * float((speed / closed.scale).min(initial=math.inf))
@@ -688,6 +721,7 @@ def _read_wanted_motion(
     frame: str | None,
     dt: float,
     weights: Array,
+    near: NearRows | None,
 ) -> tuple[Callable[[Array], list[Stage]], Array, tuple[Any, ...]]:
     """What is required at configurations (..., nq), as a function of them; the Jacobian (6, nv) of
     the frame, if any; and all that the function depends on, for comparisons.
@@ -701,8 +735,9 @@ def _read_wanted_motion(
             problem.pins.tobytes(),
             np.asarray(levels).tobytes(),
             np.asarray(strengths).tobytes(),
+            None if near is None else near.pack(closed.scale, dt).tobytes(),
         )
-        return StageMaker(problem, dt), NONE, asked
+        return StageMaker(problem, dt, near), NONE, asked
     goal = _parse_motion(wanted)
     pose_of = find_query(system, frame)
 

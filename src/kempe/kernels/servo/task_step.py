@@ -26,9 +26,15 @@ from kempe.kernels.constraints.constraint_rows import LoopScratch
 from kempe.kernels.constraints.envelope import add_product
 from kempe.kernels.constraints.goals import fill_equations
 from kempe.kernels.forward.bound import advance_integer_pointer
+from kempe.kernels.forward.configuration_steps import compute_turn
 from kempe.kernels.forward.table_layout import N_ROWS as TABLE_ROWS
 from kempe.kernels.forward.table_layout import NQ, NV
-from kempe.kernels.forward.table_rows import count_sweep_scratch, locate_poses, write_row_poses
+from kempe.kernels.forward.table_rows import (
+    count_sweep_scratch,
+    locate_poses,
+    read_unit_quaternion,
+    write_row_poses,
+)
 from kempe.kernels.servo.joint_step import (
     advance_configuration,
     compute_slow_fraction,
@@ -112,7 +118,15 @@ class Levels(NamedTuple):
     """Largest scaled speeds (n,)."""
     nq: int
     n: int
+    ties: int
+    """Rows of the tasks; those of near bodies follow."""
     m: int
+    """All rows."""
+    near: object
+    """For each row of near bodies, derivatives (n,) of their distance by scaled velocities, and the
+    least speed of the distance for this step."""
+    start: object
+    """Configuration of these derivatives."""
     levels: int
     balls: int
     dt: float
@@ -122,8 +136,8 @@ class Levels(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows of the tasks at a configuration, weighted: the Jacobian (m, n), and between what its
-    product with the velocities shall be.
+    """Rows of the tasks at a configuration, weighted, and of near bodies: the Jacobian (m, n), and
+    between what its product with the velocities shall be.
     """
 
     jacobian: object
@@ -200,18 +214,42 @@ class Trial(NamedTuple):
 
 
 @routine
+def add_near_rows(own, q, rows):
+    """Write the rows of near bodies: distances change as their derivatives at the start say."""
+    n = own.n
+    for i in range(own.m - own.ties):
+        given = advance_pointer(own.near, i * (n + 1))
+        row = advance_pointer(rows.jacobian, (own.ties + i) * n)
+        copy_numbers(row, given, 0, n)
+        changed = 0.0
+        for k in range(n):
+            if own.q_of[k] >= 0:
+                changed += given[k] * (q[own.q_of[k]] - own.start[own.q_of[k]]) / own.scale[k]
+        for b in range(own.balls):
+            k = own.ball_v[b]
+            at = own.ball_q[b]
+            x, y, z = compute_turn(
+                read_unit_quaternion(own.start, at, 1.0), read_unit_quaternion(q, at, 1.0)
+            )
+            changed += given[k] * x / own.scale[k]
+            changed += given[k + 1] * y / own.scale[k + 1] + given[k + 2] * z / own.scale[k + 2]
+        rows.low[own.ties + i] = given[n] - changed / own.dt
+        rows.high[own.ties + i] = math.inf
+
+
+@routine
 def evaluate_rows(own, loops, q, rows):
-    """Write the rows of the tasks at a configuration; return whether all are finite."""
+    """Write all rows at a configuration; return whether they are finite."""
     n = own.n
     copy_numbers(loops.q, q, 0, own.nq)
     write_row_poses(loops.ints, loops.floats, loops.q, 0, loops.scratch)
     fill_equations(loops, True)
-    for i in range(own.m * n):
+    for i in range(own.ties * n):
         rows.jacobian[i] = 0.0
     for v in range(n):
         add_product(loops, v, 1.0, advance_pointer(rows.jacobian, v), n)
     fine = True
-    for i in range(own.m):
+    for i in range(own.ties):
         if own.level[i] == 0:
             continue
         w = own.weight[i]
@@ -222,6 +260,7 @@ def evaluate_rows(own, loops, q, rows):
         rows.high[i] = rate * own.row_high[i] - error
         for j in range(n):
             rows.jacobian[i * n + j] *= w
+    add_near_rows(own, q, rows)
     return fine
 
 
@@ -1055,23 +1094,27 @@ def make_trial(block, m, n, levels):
     F("_"),
     F("_"),
     F("_"),
+    F("_"),
     FLOAT,
     FLOAT,
     OUT("_"),
 )
 def compute_task_step(
-    ints, floats, plan, weights, pins, order, numbers, q, speed, dt, damping, out
+    ints, floats, plan, weights, pins, order, numbers, near, q, speed, dt, damping, out
 ):
     """Write the configuration (nq,) after one step of tasks, and an answer as `servo_layout` says;
     return the number of velocities at a limit, or a negative code.
 
     ints, floats: the table; plan, weights: the ties, and pins (k,), as `loop_layout` says. order,
-    numbers: levels of rows, as `servo_layout` says. speed: one entry, or nv.
+    numbers: levels of rows, as `servo_layout` says. near: for each row of near bodies, which follow
+    those of the ties, derivatives (nv,) of their distance and its least speed. speed: one entry, or
+    nv.
     """
     nq = ints[NQ]
     n = ints[NV]
     n_rows = ints[TABLE_ROWS]
-    m = plan[L.N_ROWS]
+    ties = plan[L.N_ROWS]
+    m = ties + near.shape[0] // (n + 1)
     o_ = get_pointer(order)
     levels = o_[0]
     balls = o_[1]
@@ -1103,8 +1146,8 @@ def compute_task_step(
     lower = advance_pointer(scale, n)
     upper = advance_pointer(lower, n)
     weight = advance_pointer(upper, n)
-    row_low = advance_pointer(weight, m)
-    row_high = advance_pointer(row_low, m)
+    row_low = advance_pointer(weight, ties)
+    row_high = advance_pointer(row_low, ties)
     sweep = count_sweep_scratch(n_rows)
     size_rows = m * n + 2 * m
     size_trial = 6 * n + m + 2 * n * n + 2 * (levels + 1) + nq
@@ -1156,11 +1199,11 @@ def compute_task_step(
         nq,
         n,
     )
+    start = get_pointer(q)
     own = Levels(
         level, equal, hard, q_of, ball_q, ball_v, scale, lower, upper, weight, row_low, row_high,
-        fastest, nq, n, m, levels, balls, dt, damping, slow,
+        fastest, nq, n, ties, m, get_pointer(near), start, levels, balls, dt, damping, slow,
     )  # fmt: skip
-    start = get_pointer(q)
     d = make_descent(descent, m, n)
     t = make_trial(tried, m, n, levels)
     rows = make_rows(first, m, n)
