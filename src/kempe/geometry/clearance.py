@@ -127,27 +127,35 @@ def find_nearest_bodies(system: Model, q: Any, pairs: Pairs | None = None) -> Ne
     for row, (a, b), (p, r), d in zip(gradient, pairs_, points, distance, strict=True):
         apart = (r - p) / d if d != 0.0 else np.zeros(3)
         for sign, name, x in ((-1.0, a, p), (1.0, b, r)):
-            row += sign * _compute_point_rate(J[name], x - at[name][:3, 3], apart)
+            row += sign * _compute_point_rates(J[name], x - at[name][:3, 3], apart)
     return NearestBodies(system, q, pairs_, distance, points, gradient)
 
 
 def compute_gap_gradients(system: Model, watch: Watch, q: Array, gaps: Sequence[Gap]) -> Array:
     """Compute the derivatives (n, nv) of distances at q (nq,) by the velocities."""
-    names = dict.fromkeys(name for gap in gaps for name in watch.name_bodies(gap.couple))
-    at = {name: find_query(system, name).pose_and_jacobian(q) for name in names}
-    out = np.zeros((len(gaps), system.nv))
-    for row, gap in zip(out, gaps, strict=True):
-        for sign, name, x in zip(
-            (-1.0, 1.0), watch.name_bodies(gap.couple), gap.points, strict=True
-        ):
-            X, J = at[name]
-            row += sign * _compute_point_rate(J, x - X[:3, 3], gap.normal)
-    return out
+    pairs = watch.solids.body_of[watch.couples[[gap.couple for gap in gaps]]]
+    bodies, of = np.unique(pairs, return_inverse=True)
+    names = [watch.solids.names[int(k)] for k in bodies]
+    X, J = (
+        np.array(x)
+        for x in zip(*(find_query(system, n).pose_and_jacobian(q) for n in names), strict=True)
+    )
+    of = of.reshape(pairs.shape)
+    arms = np.array([gap.points for gap in gaps]) - X[of, :3, 3]
+    normals = np.array([gap.normal for gap in gaps])
+    rates = _compute_point_rates(J[of], arms, normals[:, None])
+    return rates[:, 1] - rates[:, 0]
 
 
-def _compute_point_rate(J: Array, arm: Array, direction: Array) -> Array:
-    """Compute how fast (nv,) a point `arm` (3,) away from the origin of a frame moves in a direction."""
-    return direction @ J[:3] + np.cross(arm, direction) @ J[3:]
+def _compute_point_rates(J: Array, arms: Array, directions: Array) -> Array:
+    """Compute how fast (..., nv) points `arms` (..., 3) away from the origins of frames, which have
+    Jacobians (..., 6, nv), move in directions (..., 3).
+    """
+    ax, ay, az = np.moveaxis(arms, -1, 0)
+    dx, dy, dz = np.moveaxis(directions, -1, 0)
+    turning = np.stack([ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx], axis=-1)
+    slid = (directions[..., None, :] @ J[..., :3, :])[..., 0, :]
+    return slid + (turning[..., None, :] @ J[..., 3:, :])[..., 0, :]
 
 
 class Watch(NamedTuple):

@@ -43,8 +43,8 @@ MADE: dict[str, Callable[[Any, Any], Any]] = {
 
 
 class Solid(NamedTuple):
-    """A shape as coal has it, its body, its place X (4, 4) in the body, and a sphere about it in the
-    body.
+    """A shape as coal has it, its body, its place X (4, 4) in the body, and the centre in the body,
+    the radius and the half sizes (3,) of a sphere and a box about it.
     """
 
     shape: Any
@@ -52,6 +52,7 @@ class Solid(NamedTuple):
     X: Array
     center: Array
     radius: float
+    half: Array
 
 
 class Gap(NamedTuple):
@@ -77,7 +78,9 @@ class Solids(NamedTuple):
     """Places (n, 4, 4) in their bodies."""
     centers: Array
     radii: Array
-    """Centres (n, 3) in their bodies, and radii (n,), of spheres about the solids."""
+    halves: Array
+    """Centres (n, 3) in their bodies of spheres and boxes about the solids, radii (n,) of the spheres,
+    and half sizes (n, 3) of the boxes, along the axes of the solids."""
     numbers: dict[str, list[int]]
     """For each body, the numbers of its solids."""
     pairs: tuple[tuple[str, str], ...]
@@ -118,6 +121,7 @@ def get_solids(system: Model) -> Solids:
         np.array([solid.X for solid in found]),
         np.array([solid.center for solid in found]),
         np.array([solid.radius for solid in found]),
+        np.array([solid.half for solid in found]),
         {name: [k for k, solid in enumerate(found) if solid.body == name] for name in names},
         tuple(_list_pairs(mechanism, names)),
     )
@@ -146,7 +150,8 @@ def _make_solids(mechanism: Mechanism) -> list[Solid]:
         made.computeLocalAABB()
         X = shape.X_BS.evaluate_pose(mechanism.parameters)
         center = X[:3, :3] @ np.ravel(made.aabb_center) + X[:3, 3]
-        out.append(Solid(made, name, X, center, float(made.aabb_radius)))
+        half = 0.5 * (np.ravel(made.aabb_local.max_) - np.ravel(made.aabb_local.min_))
+        out.append(Solid(made, name, X, center, float(made.aabb_radius), half))
     return out
 
 
@@ -225,12 +230,11 @@ class Placed:
         return best, points
 
     def find_smallest(self, couples: np.ndarray) -> float:
-        """Find the smallest distance of pairs (k, 2) of solids: bounds by spheres say which are
-        measured.
+        """Find the smallest distance of pairs (k, 2) of solids: bounds by spheres and boxes say which
+        are measured.
         """
         i, j = couples.T
-        reach = self._solids.radii[i] + self._solids.radii[j]
-        bound = np.linalg.norm(self._centers[i] - self._centers[j], axis=1) - reach
+        bound = self._bound_distances(i, j)
         best = np.inf
         for k in np.argsort(bound).tolist():
             if bound[k] >= best:
@@ -241,8 +245,7 @@ class Placed:
     def list_gaps(self, couples: np.ndarray, within: Array) -> list[Gap]:
         """List the gaps of pairs (k, 2) of solids that are nearer than `within` (k,), by the pairs."""
         i, j = couples.T
-        reach = self._solids.radii[i] + self._solids.radii[j]
-        bound = np.linalg.norm(self._centers[i] - self._centers[j], axis=1) - reach
+        bound = self._bound_distances(i, j)
         out: list[Gap] = []
         for k in np.flatnonzero(bound < within).tolist():
             d = self.measure_solids(int(i[k]), int(j[k]))
@@ -251,6 +254,19 @@ class Placed:
                 points = (np.ravel(found.getNearestPoint1()), np.ravel(found.getNearestPoint2()))
                 out.append(Gap(k, d, points, np.ravel(found.normal).copy()))
         return out
+
+    def _bound_distances(self, i: np.ndarray, j: np.ndarray) -> Array:
+        """Compute lower bounds of the distances of solids i and j (k,): from the sphere about each one
+        to the box about the other one.
+        """
+        apart = (self._centers[j] - self._centers[i])[:, None]
+        return np.maximum(self._bound_from_boxes(apart, i, j), self._bound_from_boxes(apart, j, i))
+
+    def _bound_from_boxes(self, apart: Array, box: np.ndarray, sphere: np.ndarray) -> Array:
+        """Compute the distances (k,) of spheres from boxes whose centres are `apart` (k, 1, 3)."""
+        off = np.abs((apart @ self._places[box, :3, :3])[:, 0]) - self._solids.halves[box]
+        off = np.maximum(off, 0.0)
+        return np.sqrt(np.einsum("ki,ki->k", off, off)) - self._solids.radii[sphere]
 
     def measure_solids(self, i: int, j: int) -> float:
         """Measure the distance of two solids."""

@@ -42,10 +42,13 @@ from kempe.kernels.servo.step_constants import (
     NOTHING,
     SADDLE,
     SHIFT,
+    SHORTER,
+    SLOW,
     STILL,
     TAKEN,
     TRIALS,
 )
+from kempe.model.model import keep_answers
 from kempe.numerics.least_squares import (
     Bend,
     compute_feasible_fraction,
@@ -602,6 +605,12 @@ class ConstrainedSteps:
         return x
 
 
+@keep_answers
+def make_constrained_steps(system: Model) -> ConstrainedSteps:
+    """Make what the steps of a system need, once."""
+    return ConstrainedSteps(system)
+
+
 class Twist(NamedTuple):
     """What a twist needs beside its equations: the time of the step, their derivatives, and whether
     it is kept.
@@ -746,6 +755,32 @@ def make_convex_problem(H: Array, pull: Array, J: Array, damping: float) -> tupl
     size = np.abs(values)
     size[size <= FLAT * size.max()] = max(float(size.max()), 1e-300)
     return np.sqrt(size)[:, None] * V.T, (pull @ V) / np.sqrt(size)
+
+
+def find_steady_fraction(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
+    """Find the fraction of the step after which no joint turns back at once.
+
+    Speeds below `SLOW` of the largest (n,) do not count.
+
+    `after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
+    shorter step leads nearer to where its speed passes zero, and one at `SLOW` of the speeds
+    across.
+    """
+    least = SLOW * fastest
+    part = 1.0
+    for _ in range(SHORTER):
+        moved = part * velocity
+        big = np.abs(moved) > least
+        if not big.any():
+            break
+        then = after(part)
+        if not (big & (np.abs(then) > least) & (moved * then < 0.0)).any():
+            break
+        part *= 0.5
+    else:
+        big = np.abs(velocity) > least
+        part = float((least[big] / np.abs(velocity[big])).min(initial=1.0))
+    return part
 
 
 class StageMaker:

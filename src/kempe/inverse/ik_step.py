@@ -19,7 +19,14 @@ from kempe.equations.slip import has_velocity_constraints
 from kempe.errors import InputError
 from kempe.forward.fk import find_query, refuse_bad_configuration
 from kempe.inverse.chain.serial_chain import find_chain, find_obstacle
-from kempe.inverse.constrained_step import ConstrainedSteps, NearRows, Stage, StageMaker
+from kempe.inverse.constrained_step import (
+    ConstrainedSteps,
+    NearRows,
+    Stage,
+    StageMaker,
+    find_steady_fraction,
+    make_constrained_steps,
+)
 from kempe.kernels.compiled import make_allocator, servo_step, task_step
 from kempe.kernels.forward.table_layout import (
     BALL,
@@ -30,7 +37,7 @@ from kempe.kernels.forward.table_layout import (
     get_row_integers,
 )
 from kempe.kernels.servo.servo_layout import ANSWER, FRACTION
-from kempe.kernels.servo.step_constants import BESIDE, NEAR, REACHED, SHORTER, SLOW
+from kempe.kernels.servo.step_constants import BESIDE, NEAR, REACHED, SLOW
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import read_q
 from kempe.model.model import bind_call, keep_answers, store_answer
@@ -513,8 +520,10 @@ def _make_task_step(
             q,
             given,
             dt,
-            lambda tasks, near: _make_task_step(
-                system, q, tasks, dt, speed, default, damping, near
+            (dt, speed.tobytes(), default, damping),
+            speed,
+            lambda x, tasks, near: _make_task_step(
+                system, x, tasks, dt, speed, default, damping, near
             ),
         )
     from kempe.inverse.tasks.search import make_distinct_tasks
@@ -598,32 +607,6 @@ def _list_default_speeds(system: Model) -> dict[str, tuple[int, float]]:
     }
 
 
-def find_steady_fraction(after: Callable[[float], Array], velocity: Array, fastest: Array) -> float:
-    """Find the fraction of the step after which no joint turns back at once.
-
-    Speeds below `SLOW` of the largest (n,) do not count.
-
-    `after` gives the velocities (n,) that follow a part of the step. Where a joint turns back, a
-    shorter step leads nearer to where its speed passes zero, and one at `SLOW` of the speeds
-    across.
-    """
-    least = SLOW * fastest
-    part = 1.0
-    for _ in range(SHORTER):
-        moved = part * velocity
-        big = np.abs(moved) > least
-        if not big.any():
-            break
-        then = after(part)
-        if not (big & (np.abs(then) > least) & (moved * then < 0.0)).any():
-            break
-        part *= 0.5
-    else:
-        big = np.abs(velocity) > least
-        part = float((least[big] / np.abs(velocity[big])).min(initial=1.0))
-    return part
-
-
 def _make_constrained_step(
     system: Model,
     q: Array,
@@ -640,7 +623,7 @@ def _make_constrained_step(
     """Make a step for a frame, or for tasks, while loops and relations stay closed."""
     if not np.isfinite(q).all():
         refuse_bad_configuration(system, q)
-    closed = _make_constrained_steps(system)
+    closed = make_constrained_steps(system)
     at, J, asked = _read_wanted_motion(
         system, closed, q, wanted, frame, dt, np.ones(6) if weights is None else weights, near
     )
@@ -689,12 +672,12 @@ def _make_constrained_step(
     ):
         after, u = closed.take_step(q, part * u, dt, low, high)
     velocity = u * closed.scale
-    near = BESIDE * np.maximum(1.0, np.abs(u))
-    at = ((u <= low + near) | (u >= high - near)).nonzero()[0]
+    beside = BESIDE * np.maximum(1.0, np.abs(u))
+    limited = ((u <= low + beside) | (u >= high - beside)).nonzero()[0]
     requested = np.concatenate([NONE, *(s.b for s in stages if s.hard)])
     had = np.concatenate([NONE, *(s.A @ u for s in stages if s.hard)])
     twist = had if frame is None else J @ velocity
-    names = tuple(system.structure.velocity_names[int(i)] for i in at)
+    names = tuple(system.structure.velocity_names[int(i)] for i in limited)
     part = _compute_fraction(had, requested, dt)
     blocked = (
         closed.find_blocking_constraints(q, stages, u, low, high)
@@ -768,12 +751,6 @@ def make_step_problem(system: Model, wanted: Any, q: Array) -> Demands:
     for task, goals in zip(problem.tasks, problem.goals, strict=True):
         refuse_goal(goals, task.label)
     return problem
-
-
-@keep_answers
-def _make_constrained_steps(system: Model) -> Any:
-
-    return ConstrainedSteps(system)
 
 
 def _compute_fraction(had: Array, requested: Array, dt: float) -> float:
