@@ -9,7 +9,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +42,7 @@ from kempe.views.viewer.live import (
     is_same_view,
 )
 from kempe.views.viewer.scene_nodes import OPENING, UPWARDS, split_poses, write_glb
-from kempe.views.viewer.server import PageServer, copy_text, save_text, silence_action
+from kempe.views.viewer.server import ServedPages, copy_text, save_text
 
 CELL = 0.1
 """Distance of the lines of the grid at first [m]."""
@@ -759,7 +759,7 @@ def _read_degrees(sketch: Sketch, pin: str) -> float:
     return float(np.rad2deg(sketch.sliders[pin].angle))
 
 
-class Board:
+class Board(ServedPages):
     """Served drawing board; each page that is opened has a sketch of its own.
 
     Attributes
@@ -771,23 +771,13 @@ class Board:
     def __init__(self, sketch: Sketch | None = None, port: int | None = None):
         self.first = sketch or Sketch()
         self.cell = CELL
-        self.pages: dict[int, BoardPage] = {}
-        self._closed = threading.Event()
-        self.server = PageServer(check_port(port), "Kempe: drawing board")
-        self.server.gui.main_panel.dock_right()
-        self.server.scene.set_up_direction("+y")
+        super().__init__(check_port(port), "Kempe: drawing board", "+y")
         camera = self.server.initial_camera
         camera.fov = OPENING[2]
         camera.near = 0.1 * self.cell
         camera.far = 1e3 * self.cell
         camera.position, camera.look_at = self.find_view(1.6, camera.fov)
-        self.server.on_client_connect(self._open_page)
-        self.server.on_client_disconnect(self._close_page)
-
-    @property
-    def url(self) -> str:
-        """Address of the page, with the token that the page requires."""
-        return self.server.url
+        self.open_pages()
 
     def find_view(self, aspect: float, opening: float) -> Array:
         """Find where a camera is that looks straight at the sketch, and where it looks (2, 3)."""
@@ -803,31 +793,3 @@ class Board:
         page = self.pages[client.client_id] = BoardPage(self, client)
         page.place_camera(client.camera)
         client.camera.on_update(page.place_camera)
-
-    def _close_page(self, client: Any) -> None:
-        """Remove the page of a client that has left."""
-        page = self.pages.pop(client.client_id, None)
-        if page is not None:
-            page.close()
-
-    def wait(self) -> None:
-        """Wait until the board is closed; Ctrl-C closes it."""
-        try:
-            while not self._closed.wait(0.2):
-                pass
-        except KeyboardInterrupt:
-            self.close()
-
-    def close(self) -> None:
-        """Close the pages and stop the server."""
-        if not self._closed.is_set():
-            self._closed.set()
-            for page in tuple(self.pages.values()):
-                page.close()
-            silence_action(self.server.stop)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()

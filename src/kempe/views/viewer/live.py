@@ -14,7 +14,7 @@ import time
 import traceback
 import webbrowser
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from kempe.views.viewer.dimensions import write_mechanism
 from kempe.views.viewer.first_sight import fit_camera, is_in_sight
 from kempe.views.viewer.overlays import Overlay, iterate_rounds, list_offered_overlays
 from kempe.views.viewer.scene_nodes import Drawn, Nodes, split_poses
-from kempe.views.viewer.server import HOST, PageServer, copy_text, save_text, silence_action
+from kempe.views.viewer.server import HOST, ServedPages, copy_text, save_text
 from kempe.views.viewer.session import KINDS, Session, list_possible_motions
 from kempe.views.viewer.sliders import MANY, Slider, group_by_limb
 from kempe.words import format_count
@@ -978,7 +978,7 @@ def serve_viewer(
     return Viewer(Session(system, q, frame, path), shared, check_port(port), degrees)
 
 
-class Viewer:
+class Viewer(ServedPages):
     """Served page that shows a system.
 
     Attributes
@@ -998,20 +998,10 @@ class Viewer:
         self.drawn = Drawn(
             session.system, session.q, None if session.motion is None else session.motion.q
         )
-        self.pages: dict[int, Page] = {}
         self._last = session
-        self._closed = threading.Event()
-        self.server = PageServer(port, self.system.name)
-        self.server.gui.main_panel.dock_right()
-        self.server.scene.set_up_direction("+y" if self.system.dim == 2 else "+z")
+        super().__init__(port, self.system.name, "+y" if self.system.dim == 2 else "+z")
         self.drawn.place_camera(self.server.initial_camera)
-        self.server.on_client_connect(self._open_page)
-        self.server.on_client_disconnect(self._close_page)
-
-    @property
-    def url(self) -> str:
-        """Address of the page, with the token that the page requires."""
-        return self.server.url
+        self.open_pages()
 
     @property
     def system(self) -> Model:
@@ -1055,34 +1045,6 @@ class Viewer:
         client.camera.on_update(page.uncover_system)
         if self.system.dim == 2:
             client.camera.on_update(page.limit_tilt)
-
-    def _close_page(self, client: Any) -> None:
-        """Remove the page of a client that has left."""
-        page = self.pages.pop(client.client_id, None)
-        if page is not None:
-            page.close()
-
-    def wait(self) -> None:
-        """Wait until the page is closed; Ctrl-C closes it."""
-        try:
-            while not self._closed.wait(0.2):
-                pass
-        except KeyboardInterrupt:
-            self.close()
-
-    def close(self) -> None:
-        """Close the page and stop its server."""
-        if not self._closed.is_set():
-            self._closed.set()
-            for page in tuple(self.pages.values()):
-                page.close()
-            silence_action(self.server.stop)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
     def __repr__(self) -> str:
         return f"Viewer of {self.system.name!r} at {self.url}" + (

@@ -18,9 +18,10 @@ import io
 import json
 import re
 import secrets
+import threading
 from collections.abc import Callable
 from types import FunctionType, SimpleNamespace
-from typing import Any
+from typing import Any, Literal, Self
 
 from kempe.errors import MissingExtraError, UnsupportedError
 
@@ -155,6 +156,62 @@ class PageServer(viser.ViserServer):
     def url(self) -> str:
         """Address of the page, with the token."""
         return f"http://{HOST}:{self.get_port()}/{self.guard.token}"
+
+
+class ServedPages:
+    """Pages of one server, which has a title: one for each client, until they are closed.
+
+    `up` is the direction upwards in the pages.
+    """
+
+    def __init__(self, port: int, title: str, up: Literal["+y", "+z"]):
+        self.pages: dict[int, Any] = {}
+        self._closed = threading.Event()
+        self.server = PageServer(port, title)
+        self.server.gui.main_panel.dock_right()
+        self.server.scene.set_up_direction(up)
+
+    @property
+    def url(self) -> str:
+        """Address of the page, with the token that the page requires."""
+        return self.server.url
+
+    def open_pages(self) -> None:
+        """Open pages for all clients from now on."""
+        self.server.on_client_connect(self._open_page)
+        self.server.on_client_disconnect(self._close_page)
+
+    def _open_page(self, client: Any) -> None:
+        """Add a page for a new client."""
+        raise NotImplementedError
+
+    def _close_page(self, client: Any) -> None:
+        """Close the page of a client that has left."""
+        page = self.pages.pop(client.client_id, None)
+        if page is not None:
+            page.close()
+
+    def wait(self) -> None:
+        """Wait until the pages are closed; Ctrl-C closes them."""
+        try:
+            while not self._closed.wait(0.2):
+                pass
+        except KeyboardInterrupt:
+            self.close()
+
+    def close(self) -> None:
+        """Close the pages and stop the server."""
+        if not self._closed.is_set():
+            self._closed.set()
+            for page in tuple(self.pages.values()):
+                page.close()
+            silence_action(self.server.stop)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def set_title(page: str, title: str, more: str = "") -> str:
