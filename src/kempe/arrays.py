@@ -185,6 +185,15 @@ def is_real(x: object) -> TypeGuard[float]:
     return real and not (isinstance(x, Rational) and abs(x) > LARGEST)  # type: ignore[operator]
 
 
+def is_number(text: str) -> bool:
+    """Whether a text is a number."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def is_number_list(given: Any) -> bool:
     """Whether `given` is a list of numbers, or of lists of numbers; only the first numbers are
     checked.

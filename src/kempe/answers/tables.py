@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kempe import spatial
+from kempe.arrays import is_number
 from kempe.description.source import describe_special_file, expand_path
 from kempe.errors import InputError
 from kempe.spatial import Array
@@ -122,15 +123,6 @@ def convert_texts(parts: Sequence[str], what: str) -> list[float]:
         raise InputError(
             f"{what}: {bad!r} is not a number; write numbers with commas between them"
         ) from None
-
-
-def is_number(text: str) -> bool:
-    """Whether a text is a number."""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def parse_header(line: str) -> list[str] | None:

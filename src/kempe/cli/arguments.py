@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.answers.tables import SUFFIXES, convert_texts, is_number, read_pose_columns
+from kempe.answers.tables import SUFFIXES, convert_texts, read_pose_columns
+from kempe.arrays import is_number
 from kempe.description.source import describe_special_file, expand_path
 from kempe.errors import InputError, UnknownNameError
 from kempe.model import configurations

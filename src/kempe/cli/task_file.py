@@ -121,7 +121,6 @@ class _TaskReader:
             return None
         kind = types[name]
         names = [f.name for f in fields(kind) if f.init]
-        needed = list_required_fields(kind)
         given: dict[str, Any] = {}
         for key, value in table.items():
             if key == "type":
@@ -133,9 +132,7 @@ class _TaskReader:
                 given[key] = self.read_value(kind, key, value)
                 if _is_file_name(key, value):
                     self.counts.append(len(given[key]))
-        for key in needed:
-            if key not in table:
-                add_problem(f"the key {key!r} is missing", f"it needs {', '.join(needed)}")
+        self.document.require_keys(list_required_fields(kind), table, place, subject)
         if len(findings.problems) > before:
             return None
         try:

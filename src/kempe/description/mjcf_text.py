@@ -17,6 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kempe.arrays import is_number
 from kempe.description import mjcf_worker
 from kempe.description.formats import describe_root_fault
 from kempe.description.limited import extract_last_lines, run_limited_code
@@ -295,21 +296,12 @@ def _refuse_nan(source: Source, text: str) -> None:
         words = match[3].split()
         if len(words) > 1 or match[1] in ("ref", "coef", "mass"):
             bad = next((w for w in words if w.lower().strip("+-") == "nan"), None)
-            if bad and all(map(_is_number, words)):
+            if bad and all(map(is_number, words)):
                 raise make_error(
                     f"{match[1]} holds {bad!r}",
                     source.locate_offset(match.start(3)),
                     "it must be finite numbers",
                 )
-
-
-def _is_number(word: str) -> bool:
-    """Whether a word is a number."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def _make_piece(source: Source, text: str, start: int, stop: int) -> _Piece:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
@@ -514,13 +514,22 @@ class Document:
                 self.findings.add_problem(
                     f"{key} holds something else than text", subject, place, f"it must be {said}"
                 )
-        for key in REQUIRED.get(kind, ()):
-            if key not in table:
-                allowed = f"it needs {', '.join(REQUIRED[kind])}"
-                self.findings.add_problem(
-                    f"the key {key!r} is missing", subject, self.locate_value(*path), allowed
-                )
+        self.require_keys(REQUIRED.get(kind, ()), table, path, subject)
         return len(self.findings.problems) == before
+
+    def require_keys(
+        self, keys: Sequence[str], table: Mapping[str, Any], path: Path, subject: str
+    ) -> bool:
+        """Record a problem for each of the keys that a table lacks; return whether it has all."""
+        missing = [key for key in keys if key not in table]
+        for key in missing:
+            self.findings.add_problem(
+                f"the key {key!r} is missing",
+                subject,
+                self.locate_value(*path),
+                f"it needs {', '.join(keys)}",
+            )
+        return not missing
 
     def get_tables(self, kind: str) -> list[dict[str, Any]]:
         """Return the tables [[kind]]."""

@@ -263,15 +263,7 @@ class _TomlReader:
         kind = constraints.KINDS[table["type"]]
         how = list_fields(kind)
         given: dict[str, Any] = {}
-        for key in list_required_fields(kind):
-            if key not in table:
-                self.findings.add_problem(
-                    f"the key {key!r} is missing",
-                    subject,
-                    self.locate_value(*path),
-                    f"it needs {', '.join(list_required_fields(kind))}",
-                )
-                good = False
+        good &= self.document.require_keys(list_required_fields(kind), table, path, subject)
         for key in how.keys() & table.keys():
             with self.findings.record_errors(subject, self.locate_value(*path, key)):
                 given[key] = self.read_field(table[key], how[key], key)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -24,7 +24,8 @@ from kempe.inverse.closed_forms.descent import Aim
 from kempe.inverse.closed_forms.plan import SEARCH
 from kempe.inverse.nearest import list_held_coordinates, make_aim
 from kempe.kernels.closed_form import analytic_layout as A
-from kempe.numerics.curves import NONE, Curve, Node, find_next_node, walk_curve
+from kempe.model.configurations import shorten_turns
+from kempe.numerics.curves import NONE, Curve, Node, find_next_nodes, join_ways, walk_curve
 from kempe.numerics.newton import GaussNewtonEnd, run_gauss_newton, run_many_gauss_newton
 from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
@@ -168,8 +169,7 @@ class SolutionSet(Curve):
 
     def compute_short_difference(self, a: Array, b: Array) -> Array:
         """Compute the difference a - b (..., n); of angles the shortest."""
-        d = a - b
-        return np.where(self.aim.slide_mask, d, d - 2.0 * math.pi * np.round(d / (2.0 * math.pi)))
+        return shorten_turns(a - b, ~self.aim.slide_mask)
 
     def decompose_jacobians(self, J: Array) -> tuple[Array, Array]:
         """Compute singular values (..., k) of Jacobians, ascending, and directions (..., k, n).
@@ -324,7 +324,7 @@ class SolutionSet(Curve):
         other = end
         if end != "closed":
             back, other = self._trace_half_curve(first.reverse_direction())
-            nodes = [*(a.reverse_direction() for a in back[:0:-1]), *nodes]
+            nodes = join_ways(back, nodes)
         theta = np.array([a.x for a in nodes])
         if "off" in (end, other) and self.decompose_jacobians(J)[0][0] > self.singular_level:
             worst = max(map(self.measure_error, self.evaluate_batch(theta)[0]))
@@ -335,12 +335,7 @@ class SolutionSet(Curve):
     def _trace_half_curve(self, first: Node) -> tuple[list[Node], str]:
         """Trace nodes one way, with their end: "closed", "far", or "off" the target."""
         nodes = [first]
-
-        def take_step(a: Node, h: float) -> list[Node] | None:
-            b = find_next_node(self, a, h)
-            return None if b is None else [b]
-
-        for b in walk_curve(first, take_step, LONGEST, REACH):
+        for b in walk_curve(first, partial(find_next_nodes, self), LONGEST, REACH):
             if len(nodes) > 3 and self._has_passed_node(nodes[-1], b, first):
                 return nodes, "closed"
             nodes.append(b)

@@ -30,7 +30,7 @@ from kempe.forward.fk import fk
 from kempe.inverse.tasks.freedoms import Local
 from kempe.inverse.tasks.search import make_checked_answer, make_demands
 from kempe.kernels.base.search_layout import SOLVED
-from kempe.model.configurations import read_q
+from kempe.model.configurations import find_free_angles, read_q, shorten_turns
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, limit_preparation_time
 from kempe.numerics.curves import NONE, Node, walk_curve
 from kempe.spatial import Array, ArrayLike
@@ -429,12 +429,9 @@ class _Direction:
 
     def _compute_shortest_step(self, a: Array, b: Array) -> Array:
         """Compute the shortest step (nv,) from a to b; unlimited joints turn the short way."""
-        from kempe.model.configurations import find_free_angles
-
-        v = self.problem.system.structure.layout.compute_difference(a, b)
-        round_ = find_free_angles(self.problem.system)
-        v[round_] -= 2.0 * np.pi * np.round(v[round_] / (2.0 * np.pi))
-        return v / self.problem.packed.scale
+        system = self.problem.system
+        v = system.structure.layout.compute_difference(a, b)
+        return shorten_turns(v, find_free_angles(system)) / self.problem.packed.scale
 
 
 def _describe_stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:

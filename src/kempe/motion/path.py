@@ -19,7 +19,7 @@ from kempe.arrays import is_whole
 from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
 from kempe.errors import InputError, format_value
-from kempe.model.configurations import list_units, make_q_dict, make_ranges_table
+from kempe.model.configurations import list_units, make_q_dict, make_ranges_table, shorten_turns
 from kempe.motion.crossings import SingularNode
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit
 from kempe.numerics.curves import BLUNT
@@ -79,7 +79,7 @@ def _may_pass_configuration(path: Path, q: Array) -> bool:
     e = path.track.equations
     y = np.array([e.compute_difference(node, q) for node in track.q]) * e.unit
     turning = path.system.structure.coordinates.turning
-    y = np.where(turning, y - 2.0 * np.pi * np.round(y / (2.0 * np.pi)), y) / e.unit
+    y = shorten_turns(y, turning) / e.unit
     return bool(np.linalg.norm(y, axis=1).min() <= np.diff(track.s).max())
 
 

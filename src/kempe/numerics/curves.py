@@ -161,6 +161,17 @@ def find_next_node(curve: Curve, a: Node, h: float) -> Node | None:
     return b if compute_bend_angle(a, b) <= BEND else None
 
 
+def find_next_nodes(curve: Curve, a: Node, h: float) -> list[Node] | None:
+    """Find the nodes that a step of `walk_curve` leads to: one, or None where `h` is too long."""
+    b = find_next_node(curve, a, h)
+    return None if b is None else [b]
+
+
+def join_ways(back: list[Node], way: list[Node]) -> list[Node]:
+    """Join the nodes of both ways from one node: `back` reversed, then `way`."""
+    return [*(a.reverse_direction() for a in back[:0:-1]), *way]
+
+
 def choose_step_length(
     h: float, longest: float, a: Node, b: Node, ideal: float = IDEAL_BEND
 ) -> float:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,8 +24,15 @@ from kempe.forward.fk import fk, jacobian
 from kempe.late import import_late_member
 from kempe.model.configurations import find_free_angles, shorten_turns
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, describe_early_end
-from kempe.numerics.curves import Curve, Node, find_next_node, make_node, walk_curve
-from kempe.numerics.curves import find_node_between as node_between
+from kempe.numerics.curves import (
+    Curve,
+    Node,
+    find_next_nodes,
+    find_node_between,
+    join_ways,
+    make_node,
+    walk_curve,
+)
 from kempe.report import Report, summarize_fields
 from kempe.spaces.rank_loss import Equations, RankLoss
 from kempe.spaces.singular_types import are_inside_limits
@@ -322,7 +330,7 @@ class _CurveTracer:
         way, closed = self._walk_nodes(equations, start)
         if not closed and self.broken is None:
             back, _ = self._walk_nodes(equations, start.reverse_direction())
-            way = [*(b.reverse_direction() for b in back[:0:-1]), *way]
+            way = join_ways(back, way)
         rows = self._refine_way(equations, way)
         # what spins idly came back otherwise, and was in the way of the last point
         if closed and self.problem.has_idle_spins:
@@ -338,11 +346,7 @@ class _CurveTracer:
         """Follow the curve from a node, and return the nodes and whether they lead back to it."""
         nq = equations.nq
         way = [start]
-
-        def take_step(a: Node, h: float) -> list[Node] | None:
-            b = find_next_node(equations, a, h)
-            return None if b is None else [b]
-
+        take_step = partial(find_next_nodes, equations)
         try:
             for b in walk_curve(start, take_step, COARSE, 0.2 * COARSE, ideal=BEND):
                 ends = np.array([way[-1].x[:nq], b.x[:nq]])
@@ -392,7 +396,7 @@ class _CurveTracer:
         off = to - q
         layout = self.problem.system.structure.layout
         at = layout.vector_q[self.circle[layout.vector_v]]
-        off[at] -= 2.0 * np.pi * np.round(off[at] / (2.0 * np.pi))
+        off = shorten_turns(off, at)
         counts = self.problem.counted_columns  # what spins idly need not be where it was
         off[layout.vector_q[~counts[layout.vector_v]]] = 0.0
         for iq, iv in zip(layout.quaternion_q, layout.quaternion_v, strict=True):
@@ -406,7 +410,7 @@ class _CurveTracer:
         best = list[Node]()
         for _ in range(HALVINGS):
             middle = 0.5 * (low + high)
-            there = node_between(equations, a, b, middle)
+            there = find_node_between(equations, a, b, middle)
             if there is None:
                 break
             if are_inside_limits(equations.problem.system, there.x[None, : equations.nq])[0]:

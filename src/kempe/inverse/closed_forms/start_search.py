@@ -24,6 +24,7 @@ from kempe.kernels.base.search_layout import ANSWER, SOLVED, STATUS
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.compiled import schedule
 from kempe.kernels.forward.table_layout import SLIDE
+from kempe.model.configurations import shorten_turns
 from kempe.numerics.newton import run_many_gauss_newton
 from kempe.spatial import Array
 
@@ -196,12 +197,7 @@ def _search_from_starts(
 
 def _compute_gap(lines: Lines, x: Array, y: Array) -> float:
     """Compute the largest difference of a joint between two configurations."""
-    return float(np.abs(np.where(lines.kinds == SLIDE, x - y, _wrap_angles(x - y))).max())
-
-
-def _wrap_angles(x: Array) -> Array:
-    """Wrap angles to [-pi, pi]."""
-    return x - 2.0 * math.pi * np.round(x / (2.0 * math.pi))
+    return float(np.abs(shorten_turns(x - y, lines.kinds != SLIDE)).max())
 
 
 def _write_rows(
