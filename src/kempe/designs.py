@@ -68,6 +68,8 @@ class DesignAssembly(Report):
         close on this branch, it may on another one.
     """
 
+    _entries = ("gap", "undetermined")
+
     q: Array
     gap: Array
     undetermined: np.ndarray
@@ -80,9 +82,6 @@ class DesignAssembly(Report):
         said = f"{count} of {format_count(self.success.size, 'configuration')} closed"
         left = self.gap[~self.success & np.isfinite(self.gap)]
         return said + (f"; the others are open by up to {left.max():.6g} m" if left.size else "")
-
-    def _collect_data(self) -> dict[str, Any]:
-        return {"gap": self.gap, "undetermined": self.undetermined}
 
 
 @explain_method_errors

@@ -260,6 +260,8 @@ class Result:
     within: Nearest | None = None
     """The nearest mechanism that closes exactly, which was solved in place of the given one; None:
     it was itself."""
+    _entries: ClassVar[tuple[str, ...]] = ()
+    """Names of members that are entries of the `data`; `system` stands for its name."""
     _has_angles: ClassVar[bool] = False
     """Whether the data have angles, which are degrees where that is requested."""
     _pictured = False
@@ -313,8 +315,9 @@ class Result:
         return {}
 
     def _collect_data(self) -> dict[str, Any]:
-        """Return the entries of the `data` that are particular to this class."""
-        return {}
+        """Return the entries of the `data` that are particular to this class: those of `_entries`."""
+        own: dict[str, Any] = {name: getattr(self, name) for name in self._entries}
+        return own | {"system": own["system"].name} if "system" in own else own
 
     # ---- as text and HTML
 

@@ -68,8 +68,6 @@ class Answer(Result, Tabular):
     """Configurations (..., nq): a field of most answers, computed on demand by others."""
     what: ClassVar[str] = ""
     """What is counted of a batch: "3 of 4 targets reached"."""
-    also: ClassVar[tuple[str, ...]] = ()
-    """Names of further members that the `data` have."""
     row: ClassVar[str] = ""
     """Name of its `Row` in `kempe.late`; "" where the class says all of it."""
     _has_angles = True
@@ -341,9 +339,7 @@ class Answer(Result, Tabular):
 
     def _collect_data(self) -> dict[str, Any]:
         """Return the entries of the `data`: residual, independent check, configurations."""
-        out = {name: getattr(self, name) for name in self.also} | {
-            "residual": np.asarray(self.residual).tolist()
-        }
+        out = super()._collect_data() | {"residual": np.asarray(self.residual).tolist()}
         if self._is_judged():
             out["judged"] = self.judged.data()
         return out | {"q": self._name_coordinates(self.q)}

@@ -40,7 +40,7 @@ class Assembly(Answer):
 
     row = "answers of assemble"
     what = "configurations closed"
-    also = ("iterations", "starts")
+    _entries = ("iterations", "starts")
 
     q: Array
     success: Any

@@ -59,6 +59,8 @@ class Incomplete(Report):
         Bodies that no dyad places.
     """
 
+    _entries = ("bodies",)
+
     reason: str
     bodies: tuple[str, ...] = ()
 
@@ -87,9 +89,6 @@ class Incomplete(Report):
 
     solve = close = all = heights = branch_of = formulas
 
-    def _collect_data(self) -> dict[str, Any]:
-        return {"bodies": self.bodies}
-
 
 @explain_method_errors
 @dataclass(frozen=True, eq=False, repr=False)
@@ -104,7 +103,7 @@ class DyadAnswer(Answer):
     """
 
     what = "configurations closed"
-    also = ("gap", "undetermined")
+    _entries = ("gap", "undetermined")
 
     q: Array
     success: Any
@@ -178,6 +177,8 @@ class Plan(Report):
     1914), for vectors of configurations.
     """
 
+    _entries = ("system", "known", "signs")
+
     system: Model
     known: tuple[str, ...]
     dyads: tuple[Dyad, ...]
@@ -208,12 +209,7 @@ class Plan(Report):
         ]
 
     def _collect_data(self) -> dict[str, Any]:
-        return {
-            "system": self.system.name,
-            "known": self.known,
-            "signs": self.signs,
-            "dyads": self._list_notes(),
-        }
+        return super()._collect_data() | {"dyads": self._list_notes()}
 
     def formulas(self, *, symbols: Mapping[str, Any] | None = None) -> DyadFormulas:
         """Return the closed form as formulas, which can be called, printed, and written as code.

@@ -740,7 +740,7 @@ class Modes(Configurations):
     (expected).
     """
 
-    also = (
+    _entries = (
         "complete",
         "branches",
         "multiplicity",

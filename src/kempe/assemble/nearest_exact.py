@@ -149,6 +149,8 @@ class Idealised(Report):
         The gaps by closing joint or constraint.
     """
 
+    _entries = ("sentence", "requested", "tolerance", "residual", "freedoms", "absorbed")
+
     given: Model
     system: Model
     requested: float
@@ -191,15 +193,7 @@ class Idealised(Report):
         ]
 
     def _collect_data(self) -> dict[str, Any]:
-        return {
-            "sentence": self.sentence,
-            "requested": self.requested,
-            "tolerance": self.tolerance,
-            "residual": self.residual,
-            "freedoms": self.freedoms,
-            "absorbed": self.absorbed,
-            "changes": [vars(c) for c in self.changes],
-        }
+        return super()._collect_data() | {"changes": [vars(c) for c in self.changes]}
 
     def close_configurations(self, q: Any) -> Array:
         """Return the configurations (..., nq) of the exact mechanism nearest to `q` (..., nq).

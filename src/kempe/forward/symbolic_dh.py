@@ -47,6 +47,8 @@ class DHTable(Report):
     Lengths are numbers or text in parameters, angles radians; `base` and `tool` are numbers (4, 4).
     """
 
+    _entries = ("frame", "convention", "base", "tool")
+
     system: Model
     frame: str
     convention: str
@@ -101,13 +103,7 @@ class DHTable(Report):
             {k: getattr(row, k) for k in ("name", "type", "a", "alpha", "d", "theta")}
             for row in self.rows
         ]
-        return {
-            "frame": self.frame,
-            "convention": self.convention,
-            "rows": numbers,
-            "base": self.base,
-            "tool": self.tool,
-        }
+        return super()._collect_data() | {"rows": numbers}
 
 
 @explain_errors

@@ -53,6 +53,8 @@ class NearestBodies(Report):
         points are the only ones.
     """
 
+    _entries = ("system", "q", "pairs", "distance", "points")
+
     system: Model
     q: Array
     pairs: tuple[tuple[str, str], ...]
@@ -70,15 +72,6 @@ class NearestBodies(Report):
         if d > 0.0:
             return f"nearest are {a!r} and {b!r}, {d:.4g} m apart"
         return f"{a!r} and {b!r} overlap by {abs(d):.4g} m"
-
-    def _collect_data(self) -> dict[str, Any]:
-        return {
-            "system": self.system.name,
-            "q": self.q,
-            "pairs": [list(pair) for pair in self.pairs],
-            "distance": self.distance,
-            "points": self.points,
-        }
 
     def _make_tables(self) -> list[Table]:
         rows = [

@@ -92,6 +92,8 @@ class PathClearance(Report):
         `SOLVED`, `TOO_NEAR` where bodies come too near, and `NOT_FOUND` where it is not decided.
     """
 
+    _entries = ("system", "count", "proven")
+
     system: Model
     count: int
     encounter: Encounter | None
@@ -127,12 +129,8 @@ class PathClearance(Report):
 
     def _collect_data(self) -> dict[str, Any]:
         found = self.encounter
-        return {
-            "system": self.system.name,
-            "count": self.count,
-            "proven": self.proven,
-            "encounter": None if found is None else found._asdict() | {"pair": list(found.pair)},
-        }
+        met = None if found is None else found._asdict() | {"pair": list(found.pair)}
+        return super()._collect_data() | {"encounter": met}
 
 
 def read_clearances(clearance: Any) -> list[Apart]:

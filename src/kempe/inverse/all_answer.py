@@ -659,7 +659,7 @@ class Solutions(ConfigurationList, Answer):
 
     row = "answers of ik_all"
     what = "targets reached"
-    also = (
+    _entries = (
         "complete",
         "late",
         "inside",

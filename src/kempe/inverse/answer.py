@@ -65,7 +65,7 @@ class Solution(Answer):
 
     row = "answers of ik"
     what = "targets reached"
-    also = ("position_error", "orientation_error", "iterations", "starts")
+    _entries = ("position_error", "orientation_error", "iterations", "starts")
 
     q: Array
     success: Any
@@ -325,6 +325,8 @@ class IkHistory(Report):
     where it began.
     """
 
+    _entries = ("q", "position_error", "orientation_error", "start", "step", "starts")
+
     system: Model
     q: Array
     position_error: Array
@@ -369,10 +371,6 @@ class IkHistory(Report):
             for s, k, p, a in rows
         ]
         return cut_lines(lines, MOST_LINES)
-
-    def _collect_data(self) -> dict[str, Any]:
-        names = ("q", "position_error", "orientation_error", "start", "step", "starts")
-        return {name: getattr(self, name) for name in names}
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Plot the errors over the steps on Matplotlib axes, one line for each start.

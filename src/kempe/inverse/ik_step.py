@@ -98,7 +98,7 @@ class IkStep(Answer):
         Pairs of bodies that are as near as clearances allow, by name.
     """
 
-    also = ("velocity", "twist", "fraction", "saturated", "blocked_by", "held_apart")
+    _entries = ("velocity", "twist", "fraction", "saturated", "blocked_by", "held_apart")
 
     q: Array
     velocity: Array

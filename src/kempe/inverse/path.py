@@ -682,7 +682,7 @@ class IkPath(Configurations):
     """
 
     is_motion = True
-    also = ("jumps", "interrupted", "late")
+    _entries = ("jumps", "interrupted", "late")
 
     system: Model
     q: Array

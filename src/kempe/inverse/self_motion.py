@@ -81,7 +81,7 @@ class SelfMotion(Configurations):
     """
 
     is_motion = True
-    also = ("freedoms", "start", "closed", "ends", "interrupted", "late")
+    _entries = ("freedoms", "start", "closed", "ends", "interrupted", "late")
 
     system: Model
     q: Array

@@ -139,7 +139,7 @@ class Slice(ConfigurationList, Answer):
     """
 
     what = "values with a solution inside the limits"
-    also = ("value", "inside", "branch")
+    _entries = ("value", "inside", "branch")
 
     sweep: Sweep
     value: Any
@@ -205,7 +205,7 @@ class Sweep(Answer):
         continuous inside its intervals, and masks (n, K).
     """
 
-    also = (
+    _entries = (
         "frame",
         "parameter",
         "task",

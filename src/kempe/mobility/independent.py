@@ -146,6 +146,8 @@ class Chart(Report):
         The last of the independent coordinates that only move idle bodies.
     """
 
+    _entries = ("system", "independent", "dependent", "idle", "useful", "dim", "quality", "origin")
+
     system: Model
     independent: tuple[str, ...]
     dependent: tuple[str, ...]
@@ -330,14 +332,6 @@ class Chart(Report):
             f"{', '.join(self.useful) or 'none'}{idle} (conditioning {self.quality:.2g}); "
             f"dependent: {', '.join(self.dependent) or 'none'}{describe_nearest(self.within)}"
         )
-
-    def _collect_data(self) -> dict[str, Any]:
-        names = ("independent", "dependent", "idle", "useful", "dim", "quality")
-        return {
-            "system": self.system.name,
-            **{n: getattr(self, n) for n in names},
-            "origin": self.origin,
-        }
 
 
 @explain_errors

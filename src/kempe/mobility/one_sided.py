@@ -294,6 +294,8 @@ class OneSidedReport(Report):
     closed sides leave, to first order. Sides that are open take nothing away.
     """
 
+    _entries = ("sentence", "active", "violated", "dimension", "lineality")
+
     system: Model
     q: Array
     sides: tuple[Side, ...]
@@ -377,12 +379,7 @@ class OneSidedReport(Report):
         return f"what may move has {format_count(self.dimension, 'dimension')}, {how}"
 
     def _collect_data(self) -> dict[str, Any]:
-        return {
-            "sentence": self.sentence,
-            "active": list(self.active),
-            "violated": list(self.violated),
-            "dimension": self.dimension,
-            "lineality": self.lineality,
+        return super()._collect_data() | {
             "exact": self.cone.exact,
             "sides": [
                 {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,6 +32,8 @@ ZERO = 1e-9
 @dataclass(frozen=True, eq=False, repr=False)
 class RelativeMotion(Report):
     """The motions of `body` relative to `to` that all constraints allow, to first order."""
+
+    _entries = ("body", "to", "dof", "slides", "twists", "origin", "around")
 
     body: str
     to: str
@@ -69,12 +71,6 @@ class RelativeMotion(Report):
 
     def _make_headline(self) -> str:
         return self.status
-
-    def _collect_data(self) -> dict[str, Any]:
-        return {
-            name: getattr(self, name)
-            for name in ("body", "to", "dof", "slides", "twists", "origin", "around")
-        }
 
     def _describe_single_motion(self) -> str:
         """Describe a motion of one freedom: a slide, a turn or a screw."""

@@ -885,7 +885,7 @@ class Drive(Motion):
         Whether the time limit or Ctrl-C ended the work; the finished samples remain.
     """
 
-    also = ("times", "inputs", "held", "jumps", "interrupted", "late")
+    _entries = ("times", "inputs", "held", "jumps", "interrupted", "late")
 
     system: Model
     q: Array

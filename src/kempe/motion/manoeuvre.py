@@ -100,7 +100,7 @@ class Manoeuvre(Motion):
         False if no motion was found, and the reason; `q` is then the start only.
     """
 
-    also = ("t", "length", "duration", "cusps", "slip")
+    _entries = ("t", "length", "duration", "cusps", "slip")
     interrupted = False
 
     system: Model

@@ -214,7 +214,7 @@ class Path(Motion):
         Branches that ``trace(..., ways="branches")`` found at bifurcations.
     """
 
-    also = (
+    _entries = (
         "s",
         "closed",
         "ends",

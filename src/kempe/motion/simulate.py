@@ -449,7 +449,7 @@ class Simulation(Motion):
         Whether the time limit or Ctrl-C ended the work; the finished samples remain.
     """
 
-    also = ("t", "v", "slip", "interrupted", "late")
+    _entries = ("t", "v", "slip", "interrupted", "late")
 
     system: Model
     t: Array

@@ -63,6 +63,8 @@ class LoopJacobian(Report):
         `Status.SOLVED`, `DEAD_POINT` or `UNDETERMINED`.
     """
 
+    _entries = ("inputs", "rows", "matrix", "rank", "nullity", "margin")
+
     matrix: Array
     inputs: tuple[str, ...]
     rows: tuple[str, ...]
@@ -111,12 +113,6 @@ class LoopJacobian(Report):
         each = zip(self.rows, self.matrix, strict=True)
         rows = [(name, *(Quantity(float(x)) for x in row)) for name, row in each]
         return [Table(("", *self.inputs), rows, grid=True)]
-
-    def _collect_data(self) -> dict[str, Any]:
-        return {
-            name: getattr(self, name)
-            for name in ("inputs", "rows", "matrix", "rank", "nullity", "margin")
-        }
 
 
 @explain_errors

@@ -243,6 +243,7 @@ class Components(Report):
         Number of freedoms, without idle freedoms.
     """
 
+    _entries = ("system", "count", "complete", "reason", "dimension", "idle", "late", "interrupted")
     _has_angles = True
 
     system: Model
@@ -302,11 +303,7 @@ class Components(Report):
             for p in self.parts
         ]
         singular = [name_values(self.system, q) for q in self.singular]
-        own = {
-            n: getattr(self, n)
-            for n in ("count", "complete", "reason", "dimension", "idle", "late", "interrupted")
-        }
-        return {"system": self.system.name} | own | {"parts": parts, "singular": singular}
+        return super()._collect_data() | {"parts": parts, "singular": singular}
 
 
 @explain_errors

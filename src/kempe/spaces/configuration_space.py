@@ -75,6 +75,15 @@ class ConfigurationSpace(Report):
         Coordinates that limits confine to an interval.
     """
 
+    _entries = (
+        "system",
+        "shape",
+        "dimension",
+        "certain",
+        "ambient_dimension",
+        "limited",
+        "constraints",
+    )
     _has_angles = True
     system: Model
     ambient: ProductSpace
@@ -403,12 +412,7 @@ class ConfigurationSpace(Report):
         return Status.UNDETERMINED if self.dimension is None else Status.SOLVED
 
     def _collect_data(self) -> dict[str, Any]:
-        names = ("shape", "dimension", "certain", "ambient_dimension", "limited", "constraints")
-        return (
-            {"system": self.system.name}
-            | {name: getattr(self, name) for name in names}
-            | {"at": name_values(self.system, self.at)}
-        )
+        return super()._collect_data() | {"at": name_values(self.system, self.at)}
 
     @property
     def status(self) -> str:
@@ -483,6 +487,8 @@ class Parametrizations(Report):
     dimension, and are not counted.
     """
 
+    _entries = ("n_b", "m_c", "n", "why")
+
     system: Model
     rows: tuple[Parametrization, ...]
     n_b: int
@@ -535,7 +541,7 @@ class Parametrizations(Report):
         return [Table(heads, rows, grid=True)]
 
     def _collect_data(self) -> dict[str, Any]:
-        return {"n_b": self.n_b, "m_c": self.m_c, "n": self.n, "why": self.why} | {
+        return super()._collect_data() | {
             "rows": [row._asdict() | {"dof": row.dof} for row in self.rows]
         }
 

@@ -247,7 +247,7 @@ class Connection(Configurations):
     """
 
     is_motion = True
-    also = ("length", "step", "interrupted", "late")
+    _entries = ("length", "step", "interrupted", "late")
 
     q: Array
     outcome: Status

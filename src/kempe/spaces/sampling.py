@@ -156,7 +156,7 @@ class Sample(Configurations):
         Share of accepted proposals, or of accepted steps of the walk.
     """
 
-    also = ("measure", "exact", "taken", "interrupted", "late")
+    _entries = ("measure", "exact", "taken", "interrupted", "late")
 
     q: Array
     measure: str

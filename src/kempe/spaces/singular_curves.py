@@ -102,6 +102,8 @@ class SingularCurves(Report):
     time limit or an interrupt, has the curves that were done.
     """
 
+    _entries = ("system", "frame", "held")
+
     system: Model
     frame: str | None
     curves: tuple[SingularCurve, ...]
@@ -142,8 +144,7 @@ class SingularCurves(Report):
         return [str(c) for c in self.curves]
 
     def _collect_data(self) -> dict[str, Any]:
-        own = {"system": self.system.name, "frame": self.frame, "held": self.held}
-        return own | {"curves": [c.to_data() for c in self.curves]}
+        return super()._collect_data() | {"curves": [c.to_data() for c in self.curves]}
 
 
 Start = tuple[tuple[str, ...], str, Array]

@@ -126,6 +126,7 @@ class NearestSingular(Report):
     and gained there, are as in `SingularSet`; `distances` are those of all sets, by their words.
     """
 
+    _entries = ("distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
     _has_angles = True
 
     system: Model
@@ -156,8 +157,7 @@ class NearestSingular(Report):
         ]
 
     def _collect_data(self) -> dict[str, Any]:
-        names = ("distance", "kinds", "name", "lost", "gained", "self_motion", "distances")
-        return {"q": name_values(self.system, self.q)} | {n: getattr(self, n) for n in names}
+        return super()._collect_data() | {"q": name_values(self.system, self.q)}
 
 
 def describe_changes(lost: Array, gained: Array) -> str:

@@ -144,6 +144,7 @@ class Singularities(Report, Tabular):
         finished starts.
     """
 
+    _entries = ("system", "frame", "task", "starts", "limits")
     _has_angles = True
 
     system: Model
@@ -195,12 +196,7 @@ class Singularities(Report, Tabular):
         ]
 
     def _collect_data(self) -> dict[str, Any]:
-        own = {n: getattr(self, n) for n in ("frame", "task", "starts", "limits")}
-        return (
-            {"system": self.system.name}
-            | own
-            | {"sets": [self._make_set_data(s) for s in self.sets]}
-        )
+        return super()._collect_data() | {"sets": [self._make_set_data(s) for s in self.sets]}
 
     def _make_set_data(self, s: SingularSet) -> dict[str, Any]:
         unit = list_units(self.system)

@@ -117,6 +117,19 @@ class TaskSpace(Report):
         Whether the time limit ended the work.
     """
 
+    _entries = (
+        "system",
+        "task",
+        "m",
+        "n",
+        "rank",
+        "generic_rank",
+        "redundancy",
+        "dependent",
+        "singular",
+        "image",
+        "samples",
+    )
     _has_angles = True
 
     system: Model
@@ -193,20 +206,7 @@ class TaskSpace(Report):
         return [Table((), rows, record=True)] if rows else []
 
     def _collect_data(self) -> dict[str, Any]:
-        names = (
-            "task",
-            "m",
-            "n",
-            "rank",
-            "generic_rank",
-            "redundancy",
-            "dependent",
-            "singular",
-            "image",
-            "samples",
-        )
-        own = {name: getattr(self, name) for name in names}
-        return {"system": self.system.name} | own | {"q": name_values(self.system, self.q)}
+        return super()._collect_data() | {"q": name_values(self.system, self.q)}
 
 
 @explain_errors

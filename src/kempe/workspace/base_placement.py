@@ -58,7 +58,7 @@ class BasePlacement(Study):
 
     _pictured = True
     _has_angles = True
-    _shown = ("poses", "axes", "fixed", "fraction", "margin", "manipulability")
+    _entries = ("system", "frame", "poses", "axes", "fixed", "fraction", "margin", "manipulability")
 
     system: Model
     frame: str

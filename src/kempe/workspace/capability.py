@@ -64,7 +64,9 @@ class CapabilityMap(Study):
     """
 
     _pictured = True
-    _shown = (
+    _entries = (
+        "system",
+        "frame",
         "axes",
         "directions",
         "rolls",

@@ -588,6 +588,8 @@ class FileMap(Report):
         Whether the time limit or Ctrl-C ended the work. The same call continues it.
     """
 
+    _entries = ("system", "verb", "rows", "requested", "chunk", "outcomes", "redone")
+
     system: Model
     verb: str
     source: Path
@@ -629,10 +631,7 @@ class FileMap(Report):
         return [Table((), rows, record=True)]
 
     def _collect_data(self) -> dict[str, Any]:
-        names = ("verb", "rows", "requested", "chunk", "outcomes", "redone")
-        return {"system": self.system.name, "source": str(self.source), "path": str(self.path)} | {
-            name: getattr(self, name) for name in names
-        }
+        return super()._collect_data() | {"source": str(self.source), "path": str(self.path)}
 
 
 @explain_errors

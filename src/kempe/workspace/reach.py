@@ -258,8 +258,6 @@ class Study(Report):
     system: Model
     frame: str
     broken: Status | None
-    _shown: tuple[str, ...]
-    """Fields that are data of it."""
 
     @property
     def _subject(self) -> str:
@@ -272,10 +270,6 @@ class Study(Report):
         return describe_early_end(
             self.broken is Status.INTERRUPTED, self.broken is Status.OUT_OF_TIME
         )
-
-    def _collect_data(self) -> dict[str, Any]:
-        shown = {name: getattr(self, name) for name in self._shown}
-        return {"system": self.system.name, "frame": self.frame} | shown
 
 
 @explain_method_errors
@@ -302,7 +296,7 @@ class ReachStudy(Study, Tabular):
     """
 
     _has_angles = True
-    _shown = ("reached", "solutions", "manipulability", "margin")
+    _entries = ("system", "frame", "reached", "solutions", "manipulability", "margin")
 
     system: Model
     frame: str

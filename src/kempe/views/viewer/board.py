@@ -777,7 +777,7 @@ class Board(ServedPages):
         camera.near = 0.1 * self.cell
         camera.far = 1e3 * self.cell
         camera.position, camera.look_at = self.find_view(1.6, camera.fov)
-        self.open_pages()
+        self._accept_clients()
 
     def find_view(self, aspect: float, opening: float) -> Array:
         """Find where a camera is that looks straight at the sketch, and where it looks (2, 3)."""

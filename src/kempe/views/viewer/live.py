@@ -1001,7 +1001,7 @@ class Viewer(ServedPages):
         self._last = session
         super().__init__(port, self.system.name, "+y" if self.system.dim == 2 else "+z")
         self.drawn.place_camera(self.server.initial_camera)
-        self.open_pages()
+        self._accept_clients()
 
     @property
     def system(self) -> Model:

@@ -176,7 +176,7 @@ class ServedPages:
         """Address of the page, with the token that the page requires."""
         return self.server.url
 
-    def open_pages(self) -> None:
+    def _accept_clients(self) -> None:
         """Open pages for all clients from now on."""
         self.server.on_client_connect(self._open_page)
         self.server.on_client_disconnect(self._close_page)

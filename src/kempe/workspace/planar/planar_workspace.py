@@ -235,6 +235,8 @@ class PlanarWorkspace(Report):
 
     _pictured = True
 
+    _entries = ("system", "frame", "kind", "area")
+
     system: Model
     frame: str
     region: PlanarRegion | PlatformRegion
@@ -397,11 +399,7 @@ class PlanarWorkspace(Report):
     def _collect_data(self) -> dict[str, Any]:
         regions = [{"solutions": r.solutions, "area": r.area} for r in self.regions]
         pieces = [p.data() for p in self.boundary]
-        return {
-            "system": self.system.name,
-            "frame": self.frame,
-            "kind": self.kind,
-            "area": self.area,
+        return super()._collect_data() | {
             "area_error": self.error,
             "regions": regions,
             "voids": len(self.voids),
