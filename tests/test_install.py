@@ -122,6 +122,7 @@ def floored(to: Path, clone: Path) -> None:
             "-m",
             "pip",
             "install",
+            "--no-compile",
             *(f"{name}=={version}" for name, version in lowest().items()),
         ],
         to,

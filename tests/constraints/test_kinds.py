@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sources
-from hunts import some
+from hunts import part
 from kinds_battery import EXAMPLES, run
 
 from kempe import constraints as c
@@ -58,16 +58,7 @@ for other in kinds_battery.EXAMPLES:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    some(
-        [
-            "distance",
-            *(pytest.param(n, marks=pytest.mark.slow) for n in EXAMPLES if n != "distance"),
-        ],
-        4,
-    ),
-)
+@pytest.mark.parametrize("name", part(EXAMPLES))
 def test_no_kind_needs_another(name):
     script = WITHOUT.format(here=str(HERE), name=name)
     done = subprocess.run(

@@ -13,7 +13,7 @@ import weakref
 
 import numpy as np
 import pytest
-from hunts import some
+from hunts import part, some
 
 import kempe
 from kempe import Mechanism
@@ -118,7 +118,7 @@ def test_a_body_takes_few_calls(way):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", part(SHAPES))
 def test_twenty_thousand_bodies(shape):
     is_where_its_joints_put_it(20_000, shape)
 
