@@ -22,6 +22,14 @@ SOFTWARE = [
 high: even widths."""
 
 
+def draw_plainly(server: Any) -> None:
+    """Have a server of viser show neither shadows nor surroundings that surfaces reflect: without a
+    graphics card these take seconds of the processor for each picture, also while nothing moves.
+    """
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(cast_shadow=False)
+
+
 def measure_picture(tab: Any) -> tuple[float, float]:
     """Width and height of the picture on a page; the camera's are those of what is drawn, which is
     coarser where drawing takes long.
@@ -30,8 +38,8 @@ def measure_picture(tab: Any) -> tuple[float, float]:
     return box["width"], box["height"]
 
 
-def project_point(tab: Any, camera: Any, p: Any) -> tuple[float, float]:
-    """Where a point (3,) is on a page with a pinhole camera of viser."""
+def project_point(tab: Any, camera: Any, p: Any) -> tuple[Any, Any]:
+    """Where a point (..., 3) is on a page with a pinhole camera of viser: to the right, and down."""
     z = camera.look_at - camera.position
     z = z / np.linalg.norm(z)
     x = np.cross(z, camera.up_direction)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from chromium import project_point
+from chromium import draw_plainly, project_point
 
 import kempe
 from kempe.views.viewer.board import Board
@@ -24,6 +24,7 @@ class Drawer:
     """A page of a drawing board, and the mouse over its plane."""
 
     def __init__(self, browser, board, wide=1200, high=1100):
+        draw_plainly(board.server)
         self.tab = browser.new_page(viewport={"width": wide, "height": high})
         self.requests = []
         self.tab.on("request", lambda r: self.requests.append(r.url))

@@ -27,6 +27,7 @@ import numpy as np
 import pytest
 import trimesh
 import viser
+from chromium import draw_plainly
 from command import Result
 from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus
@@ -263,6 +264,7 @@ def test_another_page_in_the_same_browser_cannot_open_the_websocket(browser):
         kempe.load("two_link").show(port=0, browser=False) as viewer,
         website("<p>foreign</p>") as (site, _),
     ):
+        draw_plainly(viewer.server)
         tab = browser.new_page()
         tab.goto(f"http://{site}/")
         for url in (viewer.url, viewer.url.rpartition("/")[0]):
@@ -340,6 +342,7 @@ def test_names_are_text_on_the_page_and_request_nothing(browser, tmp_path, monke
     with website() as (site, asked):
         system = named(site, tmp_path)
         with system.show(port=0, browser=False) as viewer:
+            draw_plainly(viewer.server)
             tab = browser.new_page(viewport={"width": 1000, "height": 900})
             requests = []
             tab.on("request", lambda r: requests.append(r.url))

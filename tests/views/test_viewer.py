@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 import trimesh
-from chromium import measure_picture, project_point
+from chromium import draw_plainly, measure_picture, project_point
 from hunts import some
 from robots import DATA
 
@@ -412,11 +412,24 @@ def test_a_viewer_is_on_this_machine_only_and_ends():
 
 
 class Seen:
-    """A page in the browser, with what it requested, and the mouse over what is in space."""
+    """A page in the browser, with what it requested, and the mouse over what is in space.
 
-    def __init__(self, browser, viewer, wide: int = WIDE, high: int = HIGH, density: int = 1):
+    It has shadows and reflections, as users see it, only where `lit`.
+    """
+
+    def __init__(
+        self,
+        browser,
+        viewer,
+        wide: int = WIDE,
+        high: int = HIGH,
+        density: int = 1,
+        lit: bool = False,
+    ):
         self.browser = browser
         self.viewer = viewer
+        if not lit:
+            draw_plainly(viewer.server)
         self.requests = []
         self.open(wide, high, density)
 
@@ -464,8 +477,8 @@ class Seen:
             time.sleep(0.05)
         return not self.viewer.pages
 
-    def at(self, p) -> tuple[float, float]:
-        """Where a point (3,) is on the screen."""
+    def at(self, p) -> tuple:
+        """Where a point (..., 3) is on the screen."""
         return project_point(self.tab, self.page.client.camera, p)
 
     def press(self, text: str, row: str | None = None) -> None:
@@ -546,7 +559,7 @@ def test_sliders_and_targets_move_the_robot_and_no_request_goes_outside(browser,
     system = systems(name)
     frame = "car" if name == "car" else None  # its front is under the panel
     with system.show(frame=frame, port=0, browser=False) as viewer:
-        seen = Seen(browser, viewer)
+        seen = Seen(browser, viewer, lit=True)
         assert seen.shows(lambda picture: np.abs(picture - seen_before(name)).max() < ALIKE)
         session = seen.page.session
         q = viewer.q
@@ -657,7 +670,8 @@ def test_the_panel_leaves_the_system_in_sight(browser, name, wide, density):
         poses = system.fk(viewer.q)
 
         def places():
-            return np.array([seen.at(X[:3, 3]) for X in (*poses, seen.page.session.pose)])
+            origins = [X[:3, 3] for X in (*poses, seen.page.session.pose)]
+            return np.stack(seen.at(origins), axis=-1)
 
         def uncovered():  # once the panel is where it stays
             return {seen.tab.evaluate(on_top, list(map(float, p))) for p in places()} == {"CANVAS"}
@@ -801,8 +815,7 @@ def test_what_is_drawn_is_framed_and_stays_in_sight(browser, name):
 
         def measure():  # corners of the box about what is drawn, in parts of the picture
             points = viewer.drawn.compute_extremes(viewer.q[None])
-            at = np.array([seen.at(p) for p in points])
-            at /= measure_picture(seen.tab)
+            at = np.stack(seen.at(points), axis=-1) / measure_picture(seen.tab)
             return at.min(axis=0), at.max(axis=0)
 
         assert seen.until(lambda: 0.25 < np.ptp(measure(), axis=0).max() < 0.8)
@@ -938,7 +951,7 @@ if __name__ == "__main__":
             with systems(each).show(
                 frame="car" if each == "car" else None, port=0, browser=False
             ) as shown:
-                seen = Seen(chromium, shown)
+                seen = Seen(chromium, shown, lit=True)
                 pictures[each] = [
                     row.tobytes().hex() for row in np.round(255 * seen.picture()).astype(np.uint8)
                 ]
