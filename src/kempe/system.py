@@ -1822,6 +1822,7 @@ class System(Model, Pictured):
         hold: Mapping[str, float] | None = None,
         toward: Mapping[str, float] | None = None,
         limits: bool = True,
+        clearance: Constraint | Sequence[Constraint] | None = None,
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Drive:
@@ -1844,6 +1845,9 @@ class System(Model, Pictured):
             the branch that moves least).
         limits
             Keep coordinates inside their limits.
+        clearance
+            `Clearance`, or a list of them: the motion stops at the last sample before bodies come
+            nearer, on the way to the next one, too, and the status names them (default: none).
         tolerance
             Largest change of the joint placements, in metres and radians, with which the nearest
             mechanism that closes exactly is used; see `idealise`.
@@ -1898,6 +1902,7 @@ class System(Model, Pictured):
             hold=hold,
             toward=toward,
             limits=limits,
+            clearance=clearance,
             tolerance=tolerance,
             budget=budget,
         )

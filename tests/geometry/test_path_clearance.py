@@ -151,3 +151,48 @@ def test_bad_input():
         s.geometry.check_path([0.0], KEEP)
     with pytest.raises(UnknownNameError, match="link"):
         s.geometry.check_path([[0.0]], Clearance("lnk"))
+
+
+# ---- motions
+
+
+def crank_and_peg(at: tuple[float, float]) -> kempe.System:
+    """A four-bar with a ball on its crank's end, and a peg."""
+    m = kempe.Mechanism("four-bar", dim=2)
+    crank, coupler, rocker = (m.body(name) for name in ("crank", "coupler", "rocker"))
+    m.revolute("A", m.ground, crank, at=(0, 0))
+    m.revolute("B", crank, coupler, at=(0.3, 0))
+    m.revolute("C", coupler, rocker, at=(0.6, 0))
+    m.revolute("D", m.ground, rocker, at=(0.5, 0), child_at=(0.5, 0))
+    m.shape("crank", "sphere", radius=0.02, at=(0.3, 0, 0))
+    m.obstacle("peg", "sphere", radius=0.01, at=(*at, 0))
+    return m.build()
+
+
+def test_drive_stops_before_a_peg_between_two_samples_and_names_it():
+    s = crank_and_peg((0.3 * np.cos(0.75), 0.3 * np.sin(0.75)))
+    A = np.arange(0.0, 2.0, 0.5)  # samples are 0.15 m apart, the peg is thinner
+    keep = Clearance("self", at_least=0.005)
+    free = s.drive({"A": A})
+    assert free.success and (s.geometry.clearance(free.q) > 0.005).all()
+    motion = s.drive({"A": A}, clearance=keep)
+    assert len(motion) == len(motion.times) == len(motion.held) == 2 and not motion.success
+    np.testing.assert_allclose(motion.q, free.q[:2], atol=1e-12)
+    assert motion.inputs["A"].tolist() == [0.0, 0.5]
+    assert motion.status.startswith("it stops after sample 1 (time 1), before 'crank' and 'peg'")
+    back = s.drive({"A": -A}, clearance=keep)
+    assert back.success and len(back) == 4
+
+
+def test_drive_says_where_it_begins_too_near():
+    s = crank_and_peg((0.3, 0.0))
+    motion = s.drive({"A": [0.0, 0.5]}, clearance=Clearance("crank", "peg", at_least=0.005))
+    assert len(motion) == 1 and not motion.success
+    assert motion.status.startswith("it begins where 'crank' and 'peg' overlap by ")
+
+
+def test_drive_stops_at_a_sample_that_is_too_near():
+    s = crank_and_peg((0.3 * np.cos(1.0), 0.3 * np.sin(1.0)))
+    t = [0.0, 0.4, 1.0, 1.4]
+    motion = s.drive({"A": t}, t, clearance=Clearance("self", at_least=0.005))
+    assert len(motion) == 2 and "'crank' and 'peg'" in motion.status

@@ -37,6 +37,8 @@ from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.slip import find_first_slip, has_velocity_constraints
 from kempe.equations.velocity import evaluate_velocity_rows
 from kempe.errors import InputError, UnsupportedError
+from kempe.geometry.clearance import watch_clearances
+from kempe.geometry.path_clearance import Encounter, PathGuard, read_clearances
 from kempe.model.configurations import find_home, read_q, refuse_wound_angle
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.motion.crossings import (
@@ -90,6 +92,7 @@ from kempe.words import InWords, format_count
 if TYPE_CHECKING:
     from kempe.argument_types import StartLike
     from kempe.assemble.bound import Assembler
+    from kempe.constraints.base import Constraint
     from kempe.model.model import FrameLike, Model
 
 
@@ -1019,10 +1022,25 @@ def drive(
     hold: Mapping[str, float] | None = None,
     toward: Mapping[str, float] | None = None,
     limits: bool = True,
+    clearance: Constraint | Sequence[Constraint] | None = None,
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Drive:
     """Compute the motion that follows prescribed inputs; see `System.drive`."""
+    if clearance is not None:
+        guard = PathGuard(system, watch_clearances(system, read_clearances(clearance)))
+        found = call_until_interrupt(
+            drive,
+            system,
+            inputs,
+            times,
+            start,
+            hold=hold,
+            toward=toward,
+            limits=limits,
+            budget=budget,
+        )
+        return _stop_before_encounter(found, guard.find_encounter(found.q))
     if not isinstance(inputs, Mapping):
         raise InputError(
             f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name"
@@ -1072,6 +1090,31 @@ def drive(
         closure, index, longest, OneSidedEnds(closure, limits), wish / closure.unit
     )
     return _drive_samples(context, q, names, clock, samples, spend.progress)
+
+
+def _stop_before_encounter(motion: Drive, met: Encounter | None) -> Drive:
+    """Return the samples before bodies come too near, which they do on the way `met` says."""
+    if met is None:
+        return motion
+    n = met.piece + int(met.part > 0.0)  # samples that are clear
+    last = max(n, 1)
+    if n == 0:
+        where = "it begins where"
+    else:
+        where = f"it stops after sample {n - 1} (time {motion.times[n - 1]:.6g}), before"
+    return replace(
+        motion,
+        q=motion.q[:last],
+        times=motion.times[:last],
+        inputs={name: values[:last] for name, values in motion.inputs.items()},
+        held=motion.held[:last],
+        toggles=tuple(replace(t, last=min(t.last, n - 1)) for t in motion.toggles if t.first < n),
+        jumps=tuple(jump for jump in motion.jumps if jump[0] < n),
+        singular_points=tuple(event for event in motion.singular_points if event.s < n),
+        success=False,
+        reason=f"{where} {met.describe_bodies()}",
+        _clock=None if motion._clock is None else motion._clock[:last],
+    )
 
 
 def _drive_system_with_time(
