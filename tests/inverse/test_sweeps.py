@@ -158,7 +158,7 @@ def test_curves_are_followed_side_by_side(monkeypatch):
         assert len(calls) <= few + 2 <= 14 and sweep.intervals
         calls.clear()
         best = sweep.best()
-        assert best is not None and len(calls) <= 20
+        assert best is not None and len(calls) <= 14
         at = sweep.at(best.value)
         away = np.abs(at.q - best.q).max(axis=1)
         assert away.min() < 1e-6 and at.inside[int(np.argmin(away))]

@@ -151,16 +151,19 @@ class SpinLock:
             ties.append(Tie(f"spin of {body}", a, b, turns=CROSS))
         return ties
 
+    def find_near_lines(self, q: Array) -> np.ndarray:
+        """Find at which configurations (n, nq) a line comes near to its direction in the ground."""
+        return np.any(_compute_sines(self.ground, self.compute_lines(q)) < 2.0 * STEEP, axis=1)
+
     def update_directions(self, q: Array) -> bool:
         """Choose directions in the ground that are far from the lines at a configuration (nq,).
 
         True is returned if others were needed: then the spins are held as they are there.
         """
-        lines = self.compute_lines(q[None])[0]
-        changed = bool(np.any(_compute_sines(self.ground, lines) < 2.0 * STEEP))
+        changed = bool(self.find_near_lines(q[None])[0])
         if changed:
             self._q = q
-            self._set_directions(_compute_perpendiculars(lines))
+            self._set_directions(_compute_perpendiculars(self.compute_lines(q[None])[0]))
         return changed
 
     def replace_near_directions(self, q: Array) -> bool:

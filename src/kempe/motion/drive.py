@@ -40,6 +40,7 @@ from kempe.errors import InputError, UnsupportedError
 from kempe.geometry.clearance import watch_clearances
 from kempe.geometry.path_clearance import Encounter, PathGuard, read_clearances
 from kempe.model.configurations import find_home, read_q, refuse_wound_angle
+from kempe.model.packed_loops import PackedLoops, pack_loops
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.motion.crossings import (
     find_branch_lines,
@@ -287,9 +288,8 @@ class SegmentContext:
 
         Idle spins are held, and so is the rank where it is low all along.
         """
+        self.update_lock(state)
         lock = find_spin_lock(self.closure)
-        if lock is not None and lock.update_directions(state.q):
-            self.closure.set_lock(lock)
         way, here = self._make_equations(state, direction)
         # what moves may be but a spin
         loose = here.nullity > 1 or (here.nullity == 1 and abs(here.t[-1]) < FORWARD)
@@ -300,6 +300,12 @@ class SegmentContext:
         ):
             way, here = self._make_equations(state, direction)
         return way, self._choose_first_node(way, here, state)
+
+    def update_lock(self, state: State) -> None:
+        """Hold idle spins by other directions where the lines come near to those in use."""
+        lock = find_spin_lock(self.closure)
+        if lock is not None and lock.update_directions(state.q):
+            self.closure.set_lock(lock)
 
     def _make_equations(self, state: State, direction: Array) -> tuple[DrivenClosure, Node]:
         """Return the equations of a segment, and the node where it begins."""
@@ -411,13 +417,12 @@ class RegularSteps:
         self.closure = closure
         given = [*context.index, *closure.held]
         self.free = np.setdiff1d(np.arange(system.nv), given)
-        self.equations = len(closure.weight)
         bounds = context.limits.all
         self.bounds = [b for b in bounds if isinstance(b, CoordinateBound)]
-        self.possible = len(self.bounds) == len(bounds) and 0 < len(self.free) <= self.equations
         self.places = closure.place[context.index]
         self.count = FIRST_SAMPLES
         self.patience = Patience()
+        self._locked: tuple[PackedLoops, PackedLoops] | None = None
 
     @cached_property
     def _assembler(self) -> Assembler:
@@ -426,6 +431,25 @@ class RegularSteps:
         places = self.closure.place[[*self.context.index, *self.closure.held]]
         names = tuple(system.coordinate_names[i] for i in map(int, places))
         return get_equation_assembler(system, names)
+
+    @property
+    def equations(self) -> int:
+        """Number of equations of loops and of the lock of idle spins."""
+        return len(self.closure.weight)
+
+    @property
+    def _loops(self) -> PackedLoops:
+        """The loops of the assembler, with idle spins held as the closure holds them now."""
+        assembler = self._assembler
+        lock = find_spin_lock(self.closure)
+        if lock is None:
+            return assembler.loops
+        if self._locked is None or self._locked[0] is not self.closure.loops:
+            loops = pack_loops(
+                assembler.tree, assembler.explicit, assembler.held, further=lock.list_ties
+            )
+            self._locked = self.closure.loops, loops
+        return self._locked[1]
 
     @cached_property
     def _bound_arrays(self) -> tuple[np.ndarray, np.ndarray, Array, Array]:
@@ -437,8 +461,10 @@ class RegularSteps:
     def choose_sample_count(self) -> int:
         """Choose how many samples are tried at once; 0 where the next one is left to single steps."""
         closure = self.closure
-        plain = self.possible and closure.lock is None and not closure.more
+        plain = len(self.bounds) == len(self.context.limits.all) and not closure.more
         if not self.patience.count_step() or not plain:
+            return 0
+        if not 0 < len(self.free) <= self.equations:
             return 0
         size = self.equations * self.closure.n
         return max(1, min(self.count, MOST_STEPS, MOST_ENTRIES // size))
@@ -452,6 +478,7 @@ class RegularSteps:
         change = np.diff(points, axis=0) / self.context.unit
         length = np.linalg.norm(change, axis=1)
         moving = int(np.argmin(np.append(length >= NO_CHANGE, False)))
+        self.context.update_lock(state)
         found = self._take_steps(state, points[: moving + 1], length[:moving]) if moving else None
         self.patience.record_trial(found is not None)
         if found is None:
@@ -486,7 +513,9 @@ class RegularSteps:
         starts = np.tile(state.q, (samples * parts + 1, 1))
         starts[1:, self.places] = u.reshape(-1, len(self.places))
         assembler = self._assembler
-        q, _, info = assembler.run(starts, assembler.no_pins, 1, limits=False, follow=True)
+        q, _, info = assembler.run(
+            starts, assembler.no_pins, 1, limits=False, follow=True, loops=self._loops
+        )
         good = info[1:, 0] == Status.SOLVED
         count = int(np.argmin(np.append(good, False))) // parts * parts
         q = q[: count + 1]
@@ -499,6 +528,10 @@ class RegularSteps:
         after = self._make_tangents(rates.gain[1:], direction)
         good = self._verify_steps(q, length, rates, before, after)
         reached = int(np.argmin(np.append(good, False))) // parts
+        lock = find_spin_lock(self.closure)
+        if lock is not None:  # what spins is held anew where a segment begins
+            near = lock.find_near_lines(q[parts : reached * parts + 1 : parts])
+            reached = min(reached, 1 + int(np.argmax(np.append(near, True))))
         if not reached:
             return None
         last = reached * parts - 1
