@@ -218,7 +218,7 @@ class Packed:
 
         With `closures`, those of the loops instead.
         """
-        from kempe.kernels.compiled import closure_batch
+        import kempe.kernels.compiled as kernels
 
         q = read_q(self.system, q)
         lead = q.shape[:-1]
@@ -230,7 +230,7 @@ class Packed:
             pins = self.pack_pins(goals, lead if find_leading_shape(goals) else ())
         out = np.empty((len(flat_q), m))
         J = np.empty((len(flat_q), m, self.system.nv))
-        closure_batch.evaluate_equations(
+        kernels.closure_batch.evaluate_equations(
             loops.ints, loops.floats, loops.plan, loops.weights, pins, flat_q, True, out, J
         )
         loops.raise_function_error()

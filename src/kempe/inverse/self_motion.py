@@ -335,6 +335,7 @@ class _Direction:
         self.wish = wish
         self.wished = wished
         self.step = step
+        self.circle = find_free_angles(local.problem.system)
 
     def follow_direction(
         self, q: Array, sign: float, steps: int, goal: tuple[Array, Array] | None = None
@@ -429,9 +430,8 @@ class _Direction:
 
     def _compute_shortest_step(self, a: Array, b: Array) -> Array:
         """Compute the shortest step (nv,) from a to b; unlimited joints turn the short way."""
-        system = self.problem.system
-        v = system.structure.layout.compute_difference(a, b)
-        return shorten_turns(v, find_free_angles(system)) / self.problem.packed.scale
+        v = self.problem.system.structure.layout.compute_difference(a, b)
+        return shorten_turns(v, self.circle) / self.problem.packed.scale
 
 
 def _describe_stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:

@@ -68,9 +68,10 @@ class Layout:
         self, name: str, a: Any, a_name: str, b: Any, b_name: str, size: int
     ) -> spatial.Array:
         """Call a kernel with all pairs of rows of two arrays; its rows (..., size)."""
-        from kempe.kernels.compiled import configuration_steps  # describing needs no kernels
+        # describing needs no kernels; `from` would look for a path, which costs more than the kernel
+        import kempe.kernels.compiled as kernels
 
-        kernel = getattr(configuration_steps, name)
+        kernel = getattr(kernels.configuration_steps, name)
         a = read_reals(a, a_name)
         b = read_reals(b, b_name)
         if a.ndim == b.ndim == 1:  # without what broadcasting takes

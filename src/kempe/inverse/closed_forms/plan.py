@@ -56,23 +56,23 @@ AGAIN = 1e-6
 
 def _load_closed_kernel() -> Callable[..., None]:
     """Load the kernel that solves closed forms one target after the other."""
-    from kempe.kernels.compiled import every_solution
+    import kempe.kernels.compiled as kernels
 
-    return every_solution.find_closed_form_solutions
+    return kernels.every_solution.find_closed_form_solutions
 
 
 def _load_block_kernel() -> Callable[..., int]:
     """Load the kernel that solves closed forms of several targets side by side."""
-    from kempe.kernels.compiled import candidate_blocks
+    import kempe.kernels.compiled as kernels
 
-    return candidate_blocks.find_plain_solutions
+    return kernels.candidate_blocks.find_plain_solutions
 
 
 def _load_elimination_kernel() -> Callable[..., None]:
     """Load the kernel that solves by elimination."""
-    from kempe.kernels.compiled import elimination_ik
+    import kempe.kernels.compiled as kernels
 
-    return elimination_ik.find_general_solutions
+    return kernels.elimination_ik.find_general_solutions
 
 
 class Method(NamedTuple):
