@@ -4,6 +4,7 @@ The same mechanisms in metres and in millimetres say the same but for numbers an
 """
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -193,10 +194,16 @@ def list_answer_texts(ask):
         return [str(error)]
 
 
+@cache
+def list_millimetre_texts(name):
+    """List the texts of each answer of a case whose lengths are in millimetres."""
+    make, say = CASES[name]
+    return [list_answer_texts(x) for x in say(convert_unit(make(), "mm").build(), 1e3)]
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_no_sentence_in_millimetres_says_metres(name):
-    make, say = CASES[name]
-    said = [list_answer_texts(x) for x in say(convert_unit(make(), "mm").build(), 1e3)]
+    said = list_millimetre_texts(name)
     wrong = [line for texts in said for t in texts for line in t.split("\n")]
     wrong = [line for line in wrong if METRES.search(re.sub('src="[^"]*"', "", line))]
     assert not wrong, "\n".join(dict.fromkeys(wrong))
@@ -226,9 +233,9 @@ def mask_numbers(text):
 @pytest.mark.parametrize("name", CASES)
 def test_both_units_say_the_same(name):
     make, say = CASES[name]
-    metres = say(make().build(), 1.0)
-    for one, two in zip(metres, say(convert_unit(make(), "mm").build(), 1e3), strict=True):
-        first, second = (list(map(mask_numbers, list_answer_texts(x))) for x in (one, two))
+    metres = [list_answer_texts(x) for x in say(make().build(), 1.0)]
+    for texts in zip(metres, list_millimetre_texts(name), strict=True):
+        first, second = (list(map(mask_numbers, x)) for x in texts)
         assert first == second
 
 
