@@ -149,6 +149,21 @@ def test_pairs_are_all_but_neighbours_and_ignored_ones_and_those_that_always_tou
     assert set(m.build().geometry.pairs) == every - {("a", "floor")}
 
 
+def test_the_smallest_of_many_distances_is_that_of_the_deepest_overlap():
+    """Which pairs are measured does not show, also where balls are deep in a slab."""
+    m = kempe.Mechanism("balls")
+    for k, radius in enumerate((0.02, 0.05, 0.1)):
+        m.translation(f"t{k}", m.ground, m.body(f"ball {k}"))
+        m.shape(f"ball {k}", "sphere", radius=radius)
+    m.obstacle("slab", "box", size=(2.0, 1.0, 0.6), at=(0.0, 0.0, 0.0))
+    m.obstacle("rod", "capsule", radius=0.03, length=1.0, at=(0.0, 0.0, 0.5), axis="x")
+    s = m.build()
+    q = np.random.default_rng(0).uniform(-0.8, 0.8, (200, s.nq))
+    every = np.array([s.geometry.nearest(x).distance.min() for x in q])
+    np.testing.assert_allclose(s.geometry.clearance(q), every, atol=1e-9)
+    assert (every < -0.15).any() and (every > 0.0).any()
+
+
 def test_shapes_that_are_drawn_only_do_not_count():
     m = arm(kind="sphere", radius=0.1)
     m.obstacle("wall", "box", size=(0.2, 4, 4), at=(1.5, 0, 1))

@@ -257,10 +257,13 @@ class Placed:
 
     def _bound_distances(self, i: np.ndarray, j: np.ndarray) -> Array:
         """Compute lower bounds of the distances of solids i and j (k,): from the sphere about each one
-        to the box about the other one.
+        to the box about the other one, and between spheres where these may overlap.
         """
         apart = (self._centers[j] - self._centers[i])[:, None]
-        return np.maximum(self._bound_from_boxes(apart, i, j), self._bound_from_boxes(apart, j, i))
+        bound = np.maximum(self._bound_from_boxes(apart, i, j), self._bound_from_boxes(apart, j, i))
+        reach = self._solids.radii[i] + self._solids.radii[j]
+        # how deep a sphere is in a box, its distance from the box does not bound
+        return np.where(bound > 0.0, bound, np.linalg.norm(apart[:, 0], axis=1) - reach)
 
     def _bound_from_boxes(self, apart: Array, box: np.ndarray, sphere: np.ndarray) -> Array:
         """Compute the distances (k,) of spheres from boxes whose centres are `apart` (k, 1, 3)."""
