@@ -35,17 +35,11 @@ if TYPE_CHECKING:
 LONGEST = 0.15
 """The longest step along a curve [rad, lengths of the chain]."""
 
-BISECTIONS = 45
-"""Bisections of a step that find where it passes a value of the parameter."""
-
 CORRECTIONS = 8
 """Steps of a correction at most."""
 
 SAME = 1e-4
 """Distance below which the end of a curve is a solution that is known."""
-
-AT_END = 1e-14
-"""Difference of a parameter, relative to its size, that is rounding at the end of an arc."""
 
 CONVERGED = 1e-13
 HELD = 1e-11
@@ -138,7 +132,7 @@ class ChainMotion:
         return q[..., self._places] / self.unit
 
     @cached_property
-    def _problem(self) -> tuple[Any, ...]:
+    def packed(self) -> tuple[Any, ...]:
         """The chain and its target, as the kernels of `chain_curves` take them.
 
         The tip's z axis is turned into the tool's axis.
@@ -168,7 +162,7 @@ class ChainMotion:
             check_for_stop()
             some = slice(i, i + PIECE)
             chain_curves.correct_points(
-                *self._problem, across[some], rounds, x[some], t[some], error[some]
+                *self.packed, across[some], rounds, x[some], t[some], error[some]
             )
         return x, t, error < HELD
 
@@ -192,7 +186,7 @@ class ChainMotion:
             fold = np.empty(room, dtype=np.int64)
             last = np.empty(len(x[some]), dtype=np.int64)
             done = chain_curves.follow_curves(
-                *self._problem,
+                *self.packed,
                 x[some],
                 t[some],
                 bounds[some],
@@ -263,21 +257,6 @@ class Arcs:
         """Estimate points (m, nf) at fractions s (m,) of steps k (m,), by cubics."""
         return interpolate_hermite(self.x[k], self.t[k], self.x[k + 1], self.t[k + 1], s)
 
-    def bisect_steps(self, k: np.ndarray, values: Array) -> Array:
-        """Find fractions (m,) of steps k at which the parameter's estimates pass values (m,)."""
-        p = self.motion.p
-        size = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
-        x0, x1 = self.values[k], self.values[k + 1]
-        d0, d1 = size * self.t[k, p], size * self.t[k + 1, p]
-        low = np.zeros(len(k))
-        high = np.ones(len(k))
-        for _ in range(BISECTIONS):
-            s = 0.5 * (low + high)
-            before = evaluate_cubics(x0, d0, x1, d1, s) < values
-            low = np.where(before, s, low)
-            high = np.where(before, high, s)
-        return 0.5 * (low + high)
-
     def compute_points(self, k: np.ndarray, s: Array) -> Array:
         """Compute points (m, nf) of the curve at fractions s (m,) of steps k (m,)."""
         across = self.x[k + 1] - self.x[k]
@@ -286,37 +265,24 @@ class Arcs:
 
     def find_points(self, values: Array, arc: np.ndarray) -> tuple[Array, np.ndarray]:
         """Find points (m, nf) of arcs (m,) at parameter values (m,), and which exist (m,)."""
-        p = self.motion.p
-        known = self.values
-        first = self.first[arc]
-        last = self.last[arc]
-        inside = np.clip(values, known[first], known[last])
-        there = np.abs(inside - values) <= AT_END * (1.0 + np.abs(values))
-        out = np.full((len(values), self.x.shape[1]), np.nan)
-        if not there.any():
-            return out, there
-        v = inside[there]
-        k = np.empty(len(v), dtype=np.int64)
-        for i in np.unique(arc[there]):
-            own = arc[there] == i
-            nodes = known[self.first[i] : self.last[i] + 1]
-            k[own] = self.first[i] + np.searchsorted(nodes, v[own], side="right") - 1
-        k = np.clip(k, first[there], last[there] - 1)
-        x = self.guess_points(k, self.bisect_steps(k, v))
-        x[:, p] = v
-        across = np.zeros_like(x)
-        across[:, p] = 1.0
-        better, _, good = self.motion.correct_points(x, across)
-        steps = np.linalg.norm(self.x[k + 1] - self.x[k], axis=-1)
-        good &= np.linalg.norm(better - x, axis=-1) < 0.5 * steps + 1e-6
-        for ends in (first, last):  # folds, where the corrector has nothing to hold on to
-            end = ends[there]
-            at_end = np.abs(v - known[end]) <= AT_END * (1.0 + np.abs(known[end]))
-            better[at_end] = self.x[end[at_end]]
-            good[at_end] = True
-        out[there] = better
-        there[there] = good
-        return out, there
+        out = np.empty((len(values), self.motion.n))
+        there = np.empty(len(values), dtype=np.int64)
+        for i in range(0, len(values), PIECE):
+            check_for_stop()
+            some = slice(i, i + PIECE)
+            chain_curves.find_points(
+                *self.motion.packed,
+                self.x,
+                self.t,
+                self.first,
+                self.last,
+                self.motion.p,
+                values[some],
+                arc[some],
+                out[some],
+                there[some],
+            )
+        return out, there > 0
 
     def find_intervals(self, limited: bool = True) -> list[list[tuple[float, float]]]:
         """Find the intervals of the parameter in which each arc is inside the limits.
@@ -391,15 +357,11 @@ class Arcs:
 def interpolate_hermite(x0: Array, t0: Array, x1: Array, t1: Array, s: Array) -> Array:
     """Interpolate points (m, n) at fractions s (m,) between nodes with unit tangents (m, n)."""
     size = np.linalg.norm(x1 - x0, axis=-1, keepdims=True)
-    return evaluate_cubics(x0, size * t0, x1, size * t1, s[:, None])
-
-
-def evaluate_cubics(x0: Array, d0: Array, x1: Array, d1: Array, s: Array) -> Array:
-    """Evaluate cubics at s between 0, where they are x0 with the derivative d0, and 1."""
+    s = s[:, None]
     return (
         x0
         + s * s * (3.0 - 2.0 * s) * (x1 - x0)
-        + (s * (1.0 - s) ** 2 * d0 - s * s * (1.0 - s) * d1)
+        + size * (s * (1.0 - s) ** 2 * t0 - s * s * (1.0 - s) * t1)
     )
 
 

@@ -10,7 +10,7 @@ Source of the steps: Allgower, Georg, *Numerical Continuation Methods*, 1990, ch
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,6 +40,9 @@ BISECTIONS = 45
 
 ROUNDING = 1e-15
 """Distance of two places in a step between which it is not looked again."""
+
+AT_END = 1e-14
+"""Difference of a parameter, relative to its size, that is rounding at the end of a curve."""
 
 FLAT = 1e-5
 """Length of a projected unit vector below which another vector is projected: rounding counts."""
@@ -338,13 +341,13 @@ def correct_points(
 
 
 class StepEnds(NamedTuple):
-    """Pointers to points and tangents at both ends of a step, and its length."""
+    """Pointers to points and tangents at both ends of a step, and to its length."""
 
-    a: object
-    u: object
-    b: object
-    v: object
-    size: object
+    a: Any
+    u: Any
+    b: Any
+    v: Any
+    size: Any
 
 
 @device
@@ -761,6 +764,116 @@ def list_chains(up, order, last):
         last[count] = place
         count += 1
     return count
+
+
+@kernel(
+    I("_"),
+    F("_"),
+    I(2, "n"),
+    F(19),
+    F("n"),
+    F("nq"),
+    F(10),
+    F("K", "n"),
+    F("K", "n"),
+    I("A"),
+    I("A"),
+    INT,
+    F("N"),
+    I("N"),
+    OUT("N", "n"),
+    OUTI("N"),
+    returns=False,
+)
+def find_points(
+    ints,
+    floats,
+    places,
+    goal,
+    unit,
+    base,
+    rules,
+    x,
+    t,
+    first,
+    last,
+    p,
+    values,
+    curve,
+    out,
+    there,
+):
+    """Find the points of curves at values of coordinate p, which rises along them, and which exist.
+
+    The first arguments are those of `correct_points`. x, t: nodes and tangents; those of curve i are
+    first[i] to last[i]. curve: the number of the curve for each value. Where a curve has none, the
+    point is NaN.
+    """
+    n = x.shape[1]
+    nq = base.shape[0]
+    nv = ints[NV]
+    size = count_scratch(n, nq, nv)
+    block = np.empty(size + 1)
+    c = make_scratch(
+        get_pointer(block),
+        get_pointer(ints),
+        get_pointer(floats),
+        get_pointer(places),
+        get_pointer(goal),
+        get_pointer(unit),
+        get_pointer(rules),
+        get_pointer(base),
+        n,
+        nq,
+        nv,
+    )
+    length = advance_pointer(get_pointer(block), size)
+    points = get_pointer(x)
+    tangents = get_pointer(t)
+    for k in range(values.shape[0]):
+        i = first[curve[k]]
+        j = last[curve[k]]
+        value = min(max(values[k], x[i, p]), x[j, p])
+        slack = AT_END * (1.0 + abs(values[k]))
+        there[k] = int(abs(value - values[k]) <= slack)
+        # folds, where the corrector has nothing to hold on to
+        end = j if abs(value - x[j, p]) <= slack else i
+        if not there[k] or abs(value - x[end, p]) <= slack:
+            for m in range(n):
+                out[k, m] = x[end, m] if there[k] else np.nan
+            continue
+        while j - i > 1:
+            middle = (i + j) // 2
+            if x[middle, p] <= value:
+                i = middle
+            else:
+                j = middle
+        a = advance_pointer(points, n * i)
+        b = advance_pointer(points, n * j)
+        length[0] = measure_distance(a, b, n)
+        e = StepEnds(
+            a, advance_pointer(tangents, n * i), b, advance_pointer(tangents, n * j), length
+        )
+        low = 0.0
+        high = 1.0
+        for _ in range(BISECTIONS):
+            s = 0.5 * (low + high)
+            if estimate_coordinate(e, p, s) < value:
+                low = s
+            else:
+                high = s
+        s = 0.5 * (low + high)
+        for m in range(n):
+            c.x[m] = value if m == p else estimate_coordinate(e, m, s)
+            c.across[m] = 0.0
+            c.t[m] = c.x[m]
+        c.across[p] = 1.0
+        good = correct_point(c, 8) < rules[1]
+        good = good and measure_distance(c.x, c.t, n) < 0.5 * length[0] + 1e-6
+        there[k] = int(good)
+        for m in range(n):
+            out[k, m] = c.x[m] if good else np.nan
+    keep_alive(block)
 
 
 @kernel(F("N", "n"), F("N", "n"), I("_"), F(2, "n"), F("n"), INT, OUTI("M", 2), OUT("M", 4))
