@@ -14,6 +14,7 @@ import pytest
 from chromium import draw_plainly, project_point
 
 import kempe
+from kempe.views.sketch.reading import read_sketch
 from kempe.views.viewer.board import Board
 
 SOON = 300.0
@@ -137,6 +138,29 @@ def test_a_four_bar_drawn_by_mouse_traces_the_curve_of_the_closed_form(browser):
         assert np.allclose(seen.page.bodies["AB"][0].wxyz, (1, 0, 0, 0))
         own = (board.url, board.url.replace("http", "ws"), "data:", "blob:")
         assert all(url.startswith(own) for url in seen.requests)
+        seen.tab.close()
+
+
+@pytest.mark.slow
+def test_a_mechanism_in_millimetres_is_gone_on_with(browser):
+    """Its numbers are those of the file; a pin that is dragged stands on the grid of its size."""
+    sketch, _ = read_sketch(kempe.load("four_bar", unit="mm"))
+    with Board(sketch, port=0) as board:
+        seen = Drawer(browser, board)
+        assert seen.says("1 degree of freedom") and seen.says("The crank is bar crank")
+        assert seen.tab.get_by_text("grid [mm]", exact=True).count()
+        x, y = seen.sketch.pins["coupler_point"]
+        assert board.cell == 50.0 and max(abs(x), abs(y)) > 100.0
+        seen.drag((x, y), (x + 230.0, y + 40.0))
+        at = np.array(seen.sketch.pins["coupler_point"])
+        assert np.allclose(at, 50.0 * np.round(at / 50.0))
+        assert np.abs(at - (x + 230.0, y + 40.0)).max() < 30.0
+        seen.press("select")
+        seen.click(seen.sketch.pins["A"])
+        seen.type_into("D to A [mm]", "380")
+        assert seen.until(lambda: np.isclose(seen.sketch.measure_distance("A", "D"), 380.0))
+        seen.press("play")
+        assert seen.until(lambda: seen.page.playing)
         seen.tab.close()
 
 

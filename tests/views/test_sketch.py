@@ -12,16 +12,21 @@ from hypothesis import strategies as st
 
 import kempe
 from kempe.errors import InputError
+from kempe.library import list_models
 from kempe.views.sketch.dimensions import set_distance
 from kempe.views.sketch.mechanism import (
     compute_motion,
     describe_motion,
     examine_sketch,
+    explain_missing_parts,
+    list_bodies_of,
     make_mechanism,
+    name_driver,
     write_python,
     write_sketch_toml,
 )
 from kempe.views.sketch.picture import draw_faces, place_labels, triangulate
+from kempe.views.sketch.reading import read_sketch
 from kempe.views.sketch.sketch import GROUND, History, Sketch, snap_point
 
 
@@ -393,6 +398,40 @@ def test_python_and_toml_give_the_same_mechanism(sketch):
     assert loaded.mobility(loaded.neutral).dof == 1
 
 
+def find_curves(system, q, driver, turns, frames):
+    """Places of frames (n, 2) by name while a coordinate moves on from q by some amounts."""
+    path = system.assemble({driver: q[driver] + turns}, start=q, prefer="continuous")
+    assert np.all(path.success)
+    return {f: system.fk(path.q, f)[..., :2, 3] for f in frames}
+
+
+@pytest.mark.parametrize("name", [n for n in list_models() if kempe.load(n).dim == 2])
+def test_shipped_mechanisms_are_drawn_and_move_as_they_do_or_are_refused_with_the_reason(name):
+    system = kempe.load(name)
+    if name in ("car", "three_rpr"):
+        assert "cannot be drawn" in find_reason(read_sketch, system)
+        return
+    sketch, lost = read_sketch(system)
+    assert not lost or any("parameters" in text for text in lost)
+    drawn = make_mechanism(sketch).build()
+    postures = system.mechanism.postures
+    q = system.assemble(start=system.q("closed") if "closed" in postures else None).q
+    assert drawn.mobility(drawn.neutral).dof == system.mobility(q).dof
+    named = [*{*system.mechanism.frames} & {*sketch.pins}]
+    here = {f: drawn.fk(drawn.neutral, f)[:2, 3] for f in named}
+    assert all(np.allclose(here[f], system.fk(q, f)[:2, 3], atol=1e-9) for f in named)
+    driver = name_driver(sketch)
+    dead = name == "pendulum_dead_centre"  # the crank cannot leave it
+    if dead or system.mobility(q).dof != 1 or driver not in system.coordinate_names:
+        return
+    turns = np.linspace(0, 0.02, 5)
+    one = find_curves(
+        system, dict(zip(system.coordinate_names, q, strict=True)), driver, turns, named
+    )
+    two = find_curves(drawn, dict.fromkeys(drawn.coordinate_names, 0.0), driver, turns, named)
+    assert all(np.allclose(one[f], two[f], atol=1e-8) for f in named)
+
+
 @st.composite
 def sketches(draw_number):
     """Random sketches in general position: pins, bars, plates, sliders, ground."""
@@ -416,6 +455,53 @@ def sketches(draw_number):
         except InputError:
             continue
     return sketch
+
+
+@settings(deadline=None, max_examples=60)
+@given(sketches())
+def test_random_sketches_are_read_as_they_were_drawn(sketch):
+    assume(not explain_missing_parts(sketch))
+    assume(make_mechanism(sketch).build().assemble().success)
+    read, lost = read_sketch(make_mechanism(sketch).build())
+    used = {p: at for p, at in sketch.pins.items() if list_bodies_of(sketch, p)}
+    assert not lost and {*read.pins} == {*used} and read.grounded == sketch.grounded
+    assert all(np.allclose(read.pins[p], at, atol=1e-8) for p, at in used.items())
+    assert {b: {*p} for b, p in read.bars.items()} == {b: {*p} for b, p in sketch.bars.items()}
+    assert {p: s.carrier for p, s in read.sliders.items()} == {
+        p: s.carrier for p, s in sketch.sliders.items()
+    }
+    for pin, slider in read.sliders.items():
+        assert abs(math.sin(slider.angle - sketch.sliders[pin].angle)) < 1e-8
+
+
+def test_what_a_drawing_does_not_keep_is_listed():
+    m = kempe.Mechanism("press", dim=2, unit="mm")
+    crank, rod, ram = (m.body(n) for n in ("crank", "rod", "ram"))
+    m.revolute("A", m.ground, crank, limits=(-1.0, 1.0))
+    m.revolute("B", crank, rod, at=(100, 0))
+    m.prismatic("slide", m.ground, ram, axis=(0, 1), at=(50, 0), actuated=True)
+    m.revolute("C", rod, ram, at=(300, 0))
+    m.frame("die", ram, at=(0, -80))
+    sketch, lost = read_sketch(m.build())
+    assert lost == ["limits of A", "frame die beside its pin"]
+    assert sketch.unit == "mm" and sketch.crank == ("C", "")
+    assert make_mechanism(sketch).build().unit == "mm"
+    assert 'unit="mm"' in write_python(sketch)
+    assert sketch.measure_distance("A", "B") == pytest.approx(100)
+    assert "a length is -1 mm" in find_reason(set_distance, sketch, "A", "B", -1.0)
+
+
+def test_what_cannot_be_drawn_is_refused_with_the_reason():
+    assert "moves in space" in find_reason(read_sketch, kempe.load("bennett"))
+    m = kempe.Mechanism("lamp", dim=2)
+    m.revolute("A", m.ground, m.body("arm"))
+    assert "a frame counts as a pin" in find_reason(read_sketch, m.build())
+    m = kempe.Mechanism("far", dim=2)
+    one, two = m.body("one"), m.body("two")
+    m.revolute("A", m.ground, one)
+    m.revolute("B", one, two, at=(1, 0))
+    m.revolute("C", two, m.ground, at=(1, 0), child_at=(5, 0))
+    assert "cannot be closed" in find_reason(read_sketch, m.build())
 
 
 def count_freedoms(sketch, rng):

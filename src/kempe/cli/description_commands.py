@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from kempe.cli import options
-from kempe.cli.app import DESCRIBE, Output, Reading, choose_output_file, register_command
+from kempe.cli.app import (
+    DESCRIBE,
+    Output,
+    Reading,
+    choose_output_file,
+    load_system,
+    register_command,
+)
 from kempe.cli.options import make_option
 from kempe.cli.terminal import (
     COMPLETE,
@@ -183,17 +190,37 @@ def run_view(
 
 
 @register_command(DESCRIBE, "json")
-def run_draw(output: Output, port: Port = None, no_browser: NoBrowser = False) -> None:
+def run_draw(
+    reading: Reading,
+    output: Output,
+    file: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="FILE", help="Planar mechanism to go on with: a file, or the name of a model."
+        ),
+    ] = None,
+    port: Port = None,
+    no_browser: NoBrowser = False,
+) -> None:
     """Draw a planar mechanism in the browser by mouse: pins, bars, sliders, the ground, the crank.
     It is played there, copied as Python or TOML, and saved. Ctrl-C ends it.
 
-    Example: kempe draw
+    Example: kempe draw four_bar
     """
+    from kempe.units import METRE, check_unit
+    from kempe.views.sketch.reading import read_sketch
+    from kempe.views.sketch.sketch import Sketch
     from kempe.views.viewer.board import Board
+    from kempe.words import join_words
 
-    with Board(port=port) as board:
+    sketch, lost = Sketch(unit=check_unit(reading.get("unit", METRE))), list[str]()
+    if file is not None:
+        sketch, lost = read_sketch(load_system(file, reading))
+    if lost:
+        print_remark(f"the drawing board does not keep {join_words(lost)}")
+    with Board(sketch, port) as board:
         if output.json:
-            print_json({"url": board.url})
+            print_json({"url": board.url, "not_kept": lost})
         else:
             print(f"drawing board: {board.url} (Ctrl-C ends it)")
         sys.stdout.flush()

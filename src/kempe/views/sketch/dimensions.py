@@ -35,7 +35,7 @@ def set_distance(sketch: Sketch, a: str, b: str, length: float) -> Sketch:
     Errors: `InputError` where this is impossible.
     """
     if not (math.isfinite(length) and length > SAME_PLACE):
-        raise InputError(f"a length is {length:g} m; it must be more than 0")
+        raise InputError(f"a length is {length:g} {sketch.unit}; it must be more than 0")
     for pin in (a, b):
         if pin not in sketch.pins:
             raise InputError(f"there is no pin {pin}")
@@ -58,7 +58,7 @@ def set_distance(sketch: Sketch, a: str, b: str, length: float) -> Sketch:
             return moved
     what = f"bar {bar}" if bar is not None else f"the ground between {a} and {b}"
     raise InputError(
-        f"{what} cannot be {length:g} m long: the other bars, which keep their lengths, do not close "
+        f"{what} cannot be {length:g} {sketch.unit} long: the other bars, which keep their lengths, do not close "
         "with it"
     )
 

@@ -19,6 +19,7 @@ from kempe.forward.fk import fk
 from kempe.mobility.mobility import mobility
 from kempe.motion.trace import trace
 from kempe.spatial import Array
+from kempe.units import METRE
 from kempe.views.sketch.sketch import GROUND, Crank, Sketch
 from kempe.words import choose_verb, format_count, join_words, make_plural
 
@@ -109,7 +110,7 @@ def make_mechanism(sketch: Sketch) -> Mechanism:
     """
     if missing := explain_missing_parts(sketch):
         raise InputError(missing)
-    m = Mechanism(sketch.name, dim=2)
+    m = Mechanism(sketch.name, dim=2, unit=sketch.unit)
     for call in list_calls(sketch):
         keywords = dict(call.keywords)
         if call.pin:
@@ -127,13 +128,14 @@ def write_python(sketch: Sketch) -> str:
     Errors: `InputError` where a part is not connected to the ground.
     """
     make_mechanism(sketch)
+    unit = "" if sketch.unit == METRE else f", unit={_quote(sketch.unit)}"
     lines = [
         "import kempe",
         "",
-        "P = {  # places of the pins as drawn [m]",
+        f"P = {{  # places of the pins as drawn [{sketch.unit}]",
         *(f"    {_quote(pin)}: {place!r}," for pin, place in sketch.pins.items()),
         "}",
-        f"m = kempe.Mechanism({_quote(sketch.name)}, dim=2)",
+        f"m = kempe.Mechanism({_quote(sketch.name)}, dim=2{unit})",
     ]
     for call in list_calls(sketch):
         words = [_quote(name) for name in call.names]

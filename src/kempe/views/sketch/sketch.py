@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from kempe.errors import InputError
+from kempe.units import METRE
 from kempe.words import format_count, join_words
 
 Point = tuple[float, float]
@@ -58,8 +59,9 @@ def snap_point(at: Point, grid: float) -> Point:
 class Sketch:
     """Drawn planar mechanism.
 
-    `pins` are places [m] by name, `bars` the pins of each rigid bar by its name (a bar with three
+    `pins` are places by name, `bars` the pins of each rigid bar by its name (a bar with three
     pins is a plate), `grounded` the pins that are fixed, `sliders` the lines of pins that slide.
+    Lengths are in `unit`.
     """
 
     name: str = "sketch"
@@ -68,6 +70,7 @@ class Sketch:
     grounded: frozenset[str] = frozenset()
     sliders: Mapping[str, Slider] = field(default_factory=dict[str, Slider])
     crank: Crank | None = None
+    unit: str = METRE
 
     # ---- questions
 
@@ -108,7 +111,7 @@ class Sketch:
             if math.dist(at, place) <= SAME_PLACE:
                 raise InputError(f"pin {pin} is at this place already")
         used = self._list_names()
-        name = next(n for n in _iterate_pin_names() if n not in used)
+        name = next(n for n in iterate_pin_names() if n not in used)
         return replace(self, pins={**self.pins, name: _read_point(at)}), name
 
     def move_pin(self, pin: str, at: Point) -> Sketch:
@@ -128,7 +131,7 @@ class Sketch:
                 )
                 sliders[pin] = slider._replace(angle=slider.angle + turned)
         moved = replace(self, pins=pins, sliders=sliders)
-        moved._check_bars()
+        moved.check_bars()
         return moved
 
     def ground_pin(self, pin: str, fixed: bool = True) -> Sketch:
@@ -171,9 +174,9 @@ class Sketch:
             raise InputError(f"a bar joins two pins, not {a} with itself")
         if (known := self.find_bar(a, b)) is not None:
             raise InputError(f"bar {known} joins {a} and {b} already")
-        name = self._choose_bar_name((a, b))
+        name = self.choose_bar_name((a, b))
         made = replace(self, bars={**self.bars, name: (a, b)})
-        made._check_bars()
+        made.check_bars()
         return made, name
 
     def extend_bar(self, bar: str, pin: str) -> Sketch:
@@ -193,7 +196,7 @@ class Sketch:
                     "another pin"
                 )
         made = self._set_bar_pins(bar, (*pins, pin))
-        made._check_bars()
+        made.check_bars()
         return made
 
     # ---- the crank
@@ -262,7 +265,7 @@ class Sketch:
         )
         for bar, pins in self.bars.items():
             if old in pins and bar == _join_names(pins):
-                made = made._rename_bar(bar, made._choose_bar_name(made.bars[bar]))
+                made = made._rename_bar(bar, made.choose_bar_name(made.bars[bar]))
         return made
 
     def set_name(self, name: str) -> Sketch:
@@ -300,16 +303,16 @@ class Sketch:
         if bar not in self.bars:
             raise InputError(f"there is no bar {bar}")
 
-    def _check_bars(self) -> None:
+    def check_bars(self) -> None:
         """Check that the pins of each bar are at different places. Errors: `InputError`."""
         for bar, pins in self.bars.items():
             for a, b in itertools.combinations(pins, 2):
                 if self.measure_distance(a, b) <= SAME_PLACE:
                     raise InputError(f"bar {bar} would have length 0 between {a} and {b}")
 
-    def _choose_bar_name(self, pins: Iterable[str]) -> str:
-        """Choose a free name for a bar: its pins."""
-        name = _join_names(pins)
+    def choose_bar_name(self, pins: Iterable[str], wanted: str = "") -> str:
+        """Choose a free name for a bar: the one that is `wanted` if it can be one, else its pins."""
+        name = wanted if NAME.fullmatch(wanted) and wanted != GROUND else _join_names(pins)
         used = self._list_names()
         numbered = (f"{name}-{k}" for k in itertools.count(2))
         return next(n for n in itertools.chain([name], numbered) if n not in used)
@@ -318,7 +321,7 @@ class Sketch:
         """Give a bar other pins; its name follows if it is that of its pins."""
         named = bar == _join_names(self.bars[bar])
         made = replace(self, bars={n: pins if n == bar else p for n, p in self.bars.items()})
-        return made._rename_bar(bar, made._choose_bar_name(pins)) if named else made
+        return made._rename_bar(bar, made.choose_bar_name(pins)) if named else made
 
     def _rename_bar(self, old: str, new: str) -> Sketch:
         """Give a bar a free name."""
@@ -398,7 +401,7 @@ class History:
         self.sketch = self._after.pop()
 
 
-def _iterate_pin_names() -> Iterator[str]:
+def iterate_pin_names() -> Iterator[str]:
     """Iterate over A, B, ..., Z, A1, B1, ..."""
     yield from LETTERS
     for k in itertools.count(1):

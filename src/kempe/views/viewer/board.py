@@ -15,6 +15,7 @@ import numpy as np
 
 from kempe.errors import InputError, KempeError
 from kempe.spatial import Array
+from kempe.units import from_metres
 from kempe.views.drawing import style
 from kempe.views.drawing.labels import fit_sentence
 from kempe.views.sketch.dimensions import set_distance
@@ -45,7 +46,9 @@ from kempe.views.viewer.scene_nodes import OPENING, UPWARDS, split_poses, write_
 from kempe.views.viewer.server import ServedPages, copy_text, save_text
 
 CELL = 0.1
-"""Distance of the lines of the grid at first [m]."""
+"""Distance of the lines of the grid in an empty plane [m]."""
+STEP = 0.1
+"""Steps of lengths that are typed, in cells."""
 WIDE = (14.0, 9.0)
 """Size of the plane that is seen at first, in cells."""
 PIN = 0.25
@@ -174,7 +177,12 @@ class BoardPage:
         self._add_buttons("step", {"undo": self.undo, "redo": self.redo})
         self.folder = gui.add_folder("what is chosen")
         with gui.add_folder("sketch"):
-            self.snap = gui.add_number("grid [m]", self.board.cell, min=0.0, step=0.01)
+            self.snap = gui.add_number(
+                f"grid [{self.history.sketch.unit}]",
+                self.board.cell,
+                min=0.0,
+                step=STEP * self.board.cell,
+            )
             self.lengths = gui.add_checkbox("lengths", False)
             self.title = gui.add_text("title", self.history.sketch.name)
             self._add_buttons("copy", {"as Python": self.copy_python, "as TOML": self.copy_toml})
@@ -412,7 +420,7 @@ class BoardPage:
     def clear(self) -> None:
         """Begin a new sketch; undo brings the old one back."""
         self.stop_playing()
-        self.history.add_step(Sketch())
+        self.history.add_step(Sketch(unit=self.history.sketch.unit))
         self.chosen = ()
 
     def delete_chosen(self) -> None:
@@ -481,6 +489,7 @@ class BoardPage:
         self.renamed = {}
         gui = self.client.gui
         find = self._find_name
+        step = STEP * self.board.cell
         with self.folder:
             if not name:
                 handle = gui.add_html(format_html("Nothing: click on a pin or a bar."))
@@ -490,13 +499,15 @@ class BoardPage:
             if name in sketch.pins:
                 for k, axis in enumerate("xy"):
                     self._add_field(
-                        gui.add_number(f"{axis} [m]", sketch.pins[name][k], step=0.01),
+                        gui.add_number(f"{axis} [{sketch.unit}]", sketch.pins[name][k], step=step),
                         lambda s, k=k: s.pins[find(s, name)][k],
                         lambda s, value, k=k: _move_along_axis(s, find(s, name), k, value),
                     )
             for a, b in pairs:
                 self._add_field(
-                    gui.add_number(f"{a} to {b} [m]", sketch.measure_distance(a, b), step=0.01),
+                    gui.add_number(
+                        f"{a} to {b} [{sketch.unit}]", sketch.measure_distance(a, b), step=step
+                    ),
                     lambda s, a=a, b=b: s.measure_distance(find(s, a), find(s, b)),
                     lambda s, value, a=a, b=b: set_distance(s, find(s, a), find(s, b), value),
                 )
@@ -743,6 +754,18 @@ class BoardPage:
                 camera.position, camera.look_at = wanted
 
 
+def _choose_cell(sketch: Sketch) -> float:
+    """Choose the distance of the lines of the grid: 1, 2 or 5 times a power of ten."""
+    size = float(np.ptp(np.array([*sketch.pins.values()]), axis=0).max()) if sketch.pins else 0.0
+    if size <= 0.0:
+        return from_metres(CELL, sketch.unit)
+    least = size / WIDE[1]
+    power = 10.0 ** np.floor(np.log10(least))
+    return float(
+        next(k * power for k in (1.0, 2.0, 5.0, 10.0) if k * power >= least * (1.0 - 1e-9))
+    )
+
+
 def _move_along_axis(sketch: Sketch, pin: str, axis: int, value: float) -> Sketch:
     """Set one coordinate of a pin."""
     x, y = sketch.pins[pin]
@@ -770,7 +793,7 @@ class Board(ServedPages):
 
     def __init__(self, sketch: Sketch | None = None, port: int | None = None):
         self.first = sketch or Sketch()
-        self.cell = CELL
+        self.cell = _choose_cell(self.first)
         super().__init__(check_port(port), "Kempe: drawing board", "+y")
         camera = self.server.initial_camera
         camera.fov = OPENING[2]
