@@ -157,7 +157,7 @@ def test_a_mechanism_in_millimetres_is_gone_on_with(browser):
         assert np.abs(at - (x + 230.0, y + 40.0)).max() < 30.0
         seen.press("select")
         seen.click(seen.sketch.pins["A"])
-        assert seen.tab.get_by_text("D to A [mm]", exact=True).count()
+        assert seen.until(seen.tab.get_by_text("D to A [mm]", exact=True).count)
         seen.press("play")
         assert seen.until(lambda: seen.page.playing)
         seen.tab.close()
