@@ -613,6 +613,7 @@ def _list_line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
     """List the legend entries of lines."""
     from matplotlib.lines import Line2D
 
+    loops = bool(space.system.structure.closures)  # of a chain all are serial
     entries = [
         Line2D(
             [],
@@ -620,7 +621,7 @@ def _list_line_entries(space: TwoFreedoms, curves: Any) -> list[Any]:
             color=style.OPEN,
             lw=1.6,
             ls=LINES.get(kinds, ":"),
-            label=f"singular, {' and '.join(kinds)}",
+            label=f"singular, {' and '.join(kinds)}" if loops else "singular",
         )
         for kinds in sorted({c.kinds for c in curves})
     ]
