@@ -102,7 +102,7 @@ def _read_links(ints: np.ndarray, floats: np.ndarray, limits: Array) -> Links:
     turns = rows[:, KIND] == TURN
     offsets = np.arctan2(numbers[:, SIN_OFFSET], numbers[:, COS_OFFSET])
     ends[turns] += offsets[turns, None]
-    return _join_fixed_links(Links(rows[:, KIND], copy_placements(ints, floats), ends))
+    return Links(rows[:, KIND], copy_placements(ints, floats), ends)
 
 
 def _join_fixed_links(links: Links) -> Links:
@@ -244,7 +244,8 @@ def find_unclosable_loop(
     worst: LoopGap | None = None
     for joint in system.structure.closures:
         ends = table.at[joint, "M"], table.at[joint, "F"]
-        for links in _list_equivalent_links(table, within, *ends)[0]:
+        for moving in _list_equivalent_links(table, within, *ends)[0]:
+            links = _join_fixed_links(moving)
             lengths = np.linalg.norm(links.placements[..., 3], axis=-1)
             longest = float(lengths.max())
             others = float(lengths.sum()) - longest + links.slides
