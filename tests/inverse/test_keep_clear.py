@@ -318,6 +318,29 @@ def test_the_command_line_keeps_clear(tmp_path, monkeypatch):
     assert "nobody" in Result(*call, "--tasks", "t.toml").err
 
 
+def test_paths_and_lists_of_poses_keep_clear_on_the_command_line(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    system = planar_arm(np.random.default_rng(3))
+    Path("cell.toml").write_text(write_toml(system.mechanism))
+    rng = np.random.default_rng(0)
+    X = system.fk(system.random(rng, 20), "tip")
+    Path("poses.csv").write_text(
+        "x,y\n" + "".join(f"{float(x)!r},{float(y)!r}\n" for x, y in X[:, :2, 3])
+    )
+    keep = Clearance("self", at_least=AT_LEAST)
+    for more, clearance in (((), None), (("--clearance", "0.02"), keep)):
+        data = Result("reach", "cell.toml", "poses.csv", "--frame", "tip", "--json", *more).json()
+        wanted = system.reach.poses(X[:, :2, 3], "tip", clearance=clearance)
+        assert data["reached"] == wanted.reached.tolist()
+    targets = system.fk(np.linspace(system.neutral, system.random(rng), 30), "tip")
+    np.save("targets.npy", targets[:, :2, 3])
+    for more, clearance in (((), None), (("--clearance", "0.02"), keep)):
+        call = ("path", "cell.toml", "--frame", "tip", "--targets", "targets.npy", "--json", *more)
+        data = Result(*call).json()
+        wanted = system.ik_path(targets[:, :2, 3], "tip", clearance=clearance)
+        assert data["success"] == bool(wanted.success.all()) == (clearance is None)
+
+
 # ---- steps
 
 

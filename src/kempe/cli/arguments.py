@@ -20,6 +20,7 @@ from kempe.workspace.row_sources import open_rows
 
 if TYPE_CHECKING:
     from kempe.assemble.answer import Assembly
+    from kempe.constraints.base import Constraint
     from kempe.system import System
 
 SPECIAL = ("neutral", "mid")
@@ -311,6 +312,16 @@ def read_target(system: System, text: str, degrees: bool = False) -> tuple[Array
     if rows.ndim == 3:
         return rows, False
     return read_pose_columns(system.dim, rows, names, degrees)
+
+
+def make_clearance(distance: float | None) -> Constraint | None:
+    """Make the clearance of all bodies from the option --clearance; None where it is not given."""
+    if distance is None:
+        return None
+    from kempe.constraints import KINDS
+
+    clearance: Any = KINDS["clearance"]
+    return clearance(at_least=distance)
 
 
 def make_task_argument(task: str | None, axis: str | None) -> Any:

@@ -164,6 +164,10 @@ Axis = Annotated[
     str | None,
     make_option("--axis", "Axis of the tool for the last two tasks: z, -x or x,y,z (z).", "AXIS"),
 ]
+Clearance = Annotated[
+    float | None,
+    make_option("--clearance", "Distance that all bodies keep, by their collision shapes.", "X"),
+]
 PositionOnly = Annotated[bool, make_option("--position-only", "Leave the orientation free.")]
 Tolerance = Annotated[
     str | None,

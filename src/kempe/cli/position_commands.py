@@ -114,12 +114,7 @@ def run_ik(
             "WHAT",
         ),
     ] = None,
-    clearance: Annotated[
-        float | None,
-        make_option(
-            "--clearance", "Distance that all bodies keep, by their collision shapes.", "METRES"
-        ),
-    ] = None,
+    clearance: options.Clearance = None,
 ) -> None:
     """Find a configuration that brings a frame to a pose, or all of them (of a redundant chain for
     joints to --hold), or one that holds several tasks.
@@ -129,7 +124,6 @@ def run_ik(
     Example: kempe ik panda.urdf --frame panda_hand_tcp --target 0.4,0.1,0.5,180,0,0 --deg
     """
     from kempe.cli import arguments
-    from kempe.constraints import KINDS
     from kempe.inverse.ik import make_frame_tasks
 
     if all and rng is not None:
@@ -147,18 +141,17 @@ def run_ik(
         "tolerance": arguments.parse_single_or_several(tolerance, "tolerance"),
         "task": arguments.make_task_argument(task, axis),
     }
-    apart: Any = None if clearance is None else KINDS["clearance"]
+    keep: Any = arguments.make_clearance(clearance)
     if all:
         held = arguments.parse_known_values(system, hold or [], output.deg)
-        keep = None if apart is None else apart(at_least=clearance)
         answer: Any = system.ik_all(wanted, frame or "", fixed=held, clearance=keep, **common)
-    elif apart is not None:
+    elif keep is not None:
         task_of_frame = common.pop("task")
         tasks_held = (
             wanted if frame is None else make_frame_tasks(system, wanted, frame, task_of_frame)
         )
         answer = system.ik(
-            [*tasks_held, apart(at_least=clearance)],
+            [*tasks_held, keep],
             prefer=cast("Any", prefer),
             budget=Budget(rng=rng),
             **common,
@@ -202,8 +195,11 @@ def run_path(
         bool, make_option("--closed", "Return to the first configuration at the end of the path.")
     ] = False,
     tolerance: options.Tolerance = None,
+    clearance: options.Clearance = None,
 ) -> None:
     """Follow a sequence of targets without a jump, or say where and why that cannot be.
+
+    With --clearance, bodies keep a distance at the targets and between them.
 
     Ctrl-C ends the work with what was done, as a time limit does (600 s, unless another is given).
 
@@ -225,6 +221,7 @@ def run_path(
         branches=branches,
         cost=cost,
         closed=closed,
+        clearance=arguments.make_clearance(clearance),
         tolerance=arguments.parse_single_or_several(tolerance, "tolerance"),
         budget=budget,
         count=count,
@@ -597,13 +594,21 @@ def run_reach(
     poses: options.Poses,
     frame: options.OneFrame,
     position_only: options.PositionOnly = False,
+    clearance: options.Clearance = None,
 ) -> None:
     """Say which of a list of poses are reached, how well, and what blocks the others.
 
+    With --clearance, those that are reached with bodies kept apart.
+
     Example: kempe reach ur5 weld.csv --frame tool
     """
+    from kempe.cli.arguments import make_clearance
+
     X, task = _read_poses(system, poses, position_only, output.deg)
-    answer = run_verb("poses", system.reach.poses, X, frame, task=task, budget=budget)
+    keep = make_clearance(clearance)
+    answer = run_verb(
+        "poses", system.reach.poses, X, frame, task=task, clearance=keep, budget=budget
+    )
     output.save_table(answer)
     output.draw_configurations(system, answer.q[answer.reached], answer.plot)
     output.finish_command(answer)
