@@ -527,6 +527,23 @@ def test_none_found():
     assert modes.status.startswith("none found from 64 starts, without proof: the loop of joint")
 
 
+def test_a_proof_by_lengths_is_that_of_the_values_given():
+    """In turns with values that close, for one system: nothing of one call is left to the next."""
+    system = kempe.load("rssr")
+    closed = system.assemble()
+    A = system.coordinate_names[0]
+    few = kempe.Budget(starts=64)
+    far = system.with_parameters(coupler=90.0)
+    for _ in range(2):
+        assert len(system.assembly_modes({A: float(closed.q[0])}, budget=few))
+        assert far.assembly_modes({A: 0.4}, budget=few).complete
+    legs = three_rpr([(0, 0), (9, 0), (4, 9)], [(0, 0), (1, 0), (0, 1)])
+    for _ in range(2):
+        assert assembly_modes(legs, dict.fromkeys(("S1", "S2", "S3"), 1.0), budget=few).complete
+        found = assembly_modes(legs, dict.fromkeys(("S1", "S2", "S3"), 6.0), budget=few)
+        assert len(found) and not found.complete
+
+
 def test_modes_told_apart_by_a_frame_are_listed_by_its_poses():
     """Not by the quaternions of all balls; in the plane by x, y and the angle."""
     system = four_bar()

@@ -1053,40 +1053,20 @@ def _merge_branch_names(names: list[str]) -> str:
     return "".join(c[0] if len(set(c)) == 1 else "0" for c in zip(*names, strict=True))
 
 
-# ---- solver: lengths that leave a loop open
-
-
-def _find_proof_by_lengths(problem: Problem) -> Evidence | None:
-    """Find the proof by lengths that a loop is open with the known values; None where there is none."""
-    system = problem.system
-    known = {name: x for name, x in problem.known.items() if name in system.coordinate_names}
-    values = find_source_values(system, known)
-    fixed = {name: float(x) for name, x in values.items() if not x.ndim}
-    return make_loop_length_evidence(system, fixed, bool(problem.limits))
-
-
-def explain_missing_proof(problem: Problem) -> str | None:
-    """Explain that lengths do not decide; None where they leave a loop open."""
-    if _find_proof_by_lengths(problem) is not None:
-        return None
-    return "no link of a loop is longer than all others of it together"
-
-
-def answer_by_lengths(problem: Problem) -> Modes:
-    """Answer that there are no modes, since lengths leave a loop open."""
-    status = f"complete: {_find_proof_by_lengths(problem)}"
-    none = np.zeros(0, dtype=np.int64)
-    q = np.zeros((0, problem.system.nq))
-    return _make_answer(problem, q, status, [], none, none, True)
-
-
 # ---- solver: many starts
 
 
 def find_modes_by_starts(problem: Problem) -> Modes:
-    """Find modes from many random starts; the answer is never proven complete."""
+    """Find modes from many random starts.
 
+    The answer is proven complete only where lengths leave a loop open: then there are none.
+    """
     system = problem.system
+    if (proof := _find_proof_by_lengths(problem)) is not None:
+        none = np.zeros(0, dtype=np.int64)
+        return _make_answer(
+            problem, np.zeros((0, system.nq)), f"complete: {proof}", [], none, none, True
+        )
     spend = USUAL.complete_budget(problem.budget)
     found = search_modes(
         system,
@@ -1148,6 +1128,15 @@ def find_modes_by_starts(problem: Problem) -> Modes:
         problem, q[keep], status, [""] * len(keep), hits[keep], free[keep], False, guess
     )
     return replace(answer, interrupted=interrupted, late=late)
+
+
+def _find_proof_by_lengths(problem: Problem) -> Evidence | None:
+    """Find the proof by lengths that a loop is open with the known values; None where there is none."""
+    system = problem.system
+    known = {name: x for name, x in problem.known.items() if name in system.coordinate_names}
+    values = find_source_values(system, known)
+    fixed = {name: float(x) for name, x in values.items() if not x.ndim}
+    return make_loop_length_evidence(system, fixed, bool(problem.limits))
 
 
 def _choose_example(problem: Problem, clusters: Clusters, which: np.ndarray) -> int:
@@ -1229,12 +1218,6 @@ def _make_answer(
 SOLVERS = (
     Solver(
         "dyads", "closed form, one dyad after the other", explain_missing_dyads, find_modes_by_dyads
-    ),
-    Solver(
-        "lengths",
-        "proof by the lengths of links that a loop stays open",
-        explain_missing_proof,
-        answer_by_lengths,
     ),
     Solver(
         "many starts",
