@@ -1847,7 +1847,9 @@ class System(Model, Pictured):
             Keep coordinates inside their limits.
         clearance
             `Clearance`, or a list of them: the motion stops at the last sample before bodies come
-            nearer, on the way to the next one, too, and the status names them (default: none).
+            nearer, on the straight way of the coordinates to the next one, too, and the status
+            names them (default: none). Of the curves of closed loops between samples this proves
+            nothing.
         tolerance
             Largest change of the joint placements, in metres and radians, with which the nearest
             mechanism that closes exactly is used; see `idealise`.
