@@ -55,7 +55,10 @@ class Drawer:
         before = self.page.answered
         act()
         assert self.until(lambda: self.page.answered > before)
-        self.tab.wait_for_timeout(100)
+        # what the page was sent before the new title has arrived with it: the fields are the new ones
+        title = f"drawing board after {self.page.answered}"
+        self.page.client.gui.set_panel_label(title)
+        self.tab.get_by_text(title, exact=True).wait_for(timeout=1e3 * SOON)
 
     def click(self, *places):
         for place in places:

@@ -844,6 +844,14 @@ def test_a_dimension_is_dragged_with_closed_loops(browser, name, parameter):
         seen.press("dimensions")
         at = len(page.sliders) + list(page.dimensions).index(parameter)
         thumb = seen.tab.get_by_role("slider").nth(at)
+
+        def at_rest():  # what the browser has sent last is answered
+            shown = float(thumb.get_attribute("aria-valuenow"))
+            now = viewer.system.structure.parameters[parameter]
+            return (
+                now == pytest.approx(shown, abs=1e-9) and page.nodes.drawn.system is viewer.system
+            )
+
         for by in (-15.0, 8.0):
             old = viewer.system
             curve = page.nodes.laid["curve"]
@@ -854,7 +862,7 @@ def test_a_dimension_is_dragged_with_closed_loops(browser, name, parameter):
             seen.drag(middle, middle + [by, 0.0])
             assert seen.until(lambda old=old: viewer.system is not old)
             assert seen.until(lambda old=curve: page.nodes.laid["curve"] is not old)
-            seen.tab.wait_for_timeout(1000)
+            assert seen.until(at_rest)
             changed = viewer.system
             assert np.abs(closure_error(changed, viewer.q)).max() < 1e-9
             value = changed.structure.parameters[parameter]

@@ -107,6 +107,7 @@ class BoardPage:
         self.drags = 0
         self.answered = 0
         self.typed = 0.0
+        self.typing: Any = None
         self.made = 0
         self.bodies: dict[str, Any] = {}
         self.labels: dict[str, Any] = {}
@@ -142,7 +143,12 @@ class BoardPage:
         async def post_event(event: Any) -> None:
             """Post the action."""
             if event.client is not None:
-                self.waiting.put(lambda: action(event))
+                self.waiting.put(lambda: answer_event(event))
+
+        def answer_event(event: Any) -> None:
+            """Do the action; typing into a field ends with what is done elsewhere."""
+            self.typing = None
+            action(event)
 
         return post_event
 
@@ -190,7 +196,7 @@ class BoardPage:
         self.snap.on_update(self.make_callback(lambda event: self._set_grid(self.snap.value)))
         self.lengths.on_update(self.make_callback(lambda event: None))
         self.title.on_update(
-            self.make_callback(lambda event: self._type("title", self._rename_sketch))
+            self.make_callback(lambda event: self._type(self.title, "title", self._rename_sketch))
         )
         for name, key in KEYS.items():
             command = gui.add_command(f"tool: {name}", hotkey=key)
@@ -383,6 +389,7 @@ class BoardPage:
     def drag(self, begin: Point, end: Point, phase: str) -> None:
         """Move the pin at the point where a drag began to the point where it is."""
         if phase == "start":
+            self.typing = None
             self.stop_playing()
             pin = self.history.sketch.find_nearest_pin(begin, REACH * self.board.cell)
             self.dragged = pin or ""
@@ -449,8 +456,9 @@ class BoardPage:
 
     # ---- what is typed
 
-    def _type(self, key: str, change: Callable[[Sketch], Sketch]) -> None:
+    def _type(self, field: Any, key: str, change: Callable[[Sketch], Sketch]) -> None:
         """Take what is typed into a field: all that is typed into it in turn is one step."""
+        self.typing = field
         self.stop_playing()
         self.said = ""
         now = time.monotonic()
@@ -532,13 +540,17 @@ class BoardPage:
         key = f"{name} {len(self.fields)}"
         self.fields.append((handle, read))
         handle.on_update(
-            self.make_callback(lambda event: self._type(key, lambda s: change(s, handle.value)))
+            self.make_callback(
+                lambda event: self._type(handle, key, lambda s: change(s, handle.value))
+            )
         )
 
     def _update_fields(self) -> None:
-        """Update the fields to the sketch, but for those in which the value was typed."""
+        """Update the fields to the sketch, but for the one into which someone types: its next keys
+        may wait.
+        """
         for handle, read in self.fields:
-            if read is None or isinstance(handle.value, str):
+            if read is None or handle is self.typing or isinstance(handle.value, str):
                 continue
             value = round(float(read(self.history.sketch)), 6)
             if handle.value != value and not self.said:
@@ -574,7 +586,7 @@ class BoardPage:
             color = ACTIVE if name == self.tool else "gray"
             if button.color != color:
                 button.color = color
-        if self.title.value.strip() != sketch.name and self.title.value.strip():
+        if self.typing is not self.title and self.title.value.strip() != sketch.name:
             self.title.value = sketch.name
         self.play.label = "stop" if self.playing else "play"
         self.play.color = "red" if self.playing else "green"
