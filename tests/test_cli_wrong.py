@@ -145,7 +145,7 @@ spaces two_link --position-only -> --frame
 spaces two_link --frame nowhere -> nowhere
 spaces two_link --sample 0 -> n is 0
 spaces slider --sample 5 -> not bounded
-spaces puma560 --frame tool --plot p.png -> two freedoms
+spaces puma560 --frame tool --plot p.png -> two degrees of freedom
 spaces two_link --frame e --plot p.gif -> .png
 """
 MAPS = """

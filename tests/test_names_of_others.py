@@ -10,8 +10,10 @@ import pytest
 
 import kempe
 from kempe.errors import (
+    DECLARATIONS_ELSEWHERE,
     MEMBERS_ELSEWHERE,
     MEMBERS_WITHIN,
+    NAMES_ELSEWHERE,
     OPTIONS_ELSEWHERE,
     CallError,
     KempeError,
@@ -77,10 +79,44 @@ def test_the_error_of_a_property_is_its_own():
         _ = broken.weight
 
 
+@pytest.mark.parametrize("name", DECLARATIONS_ELSEWHERE)
+def test_declarations_of_other_libraries(name):
+    with pytest.raises(MissingMemberError, match=f"did you mean '{DECLARATIONS_ELSEWHERE[name]}'"):
+        getattr(ARM.mechanism, name)
+    assert hasattr(kempe.Mechanism, DECLARATIONS_ELSEWHERE[name])
+
+
+@pytest.mark.parametrize("name", NAMES_ELSEWHERE)
+def test_names_of_modules_of_other_libraries(name):
+    module = kempe if hasattr(kempe, NAMES_ELSEWHERE[name]) else kempe.spatial
+    with pytest.raises(AttributeError, match=f"did you mean '{NAMES_ELSEWHERE[name]}'"):
+        getattr(module, name)
+
+
+@pytest.mark.parametrize("module", [kempe, kempe.constraints, kempe.tasks, kempe.spatial])
+def test_mistyped_names_of_modules(module):
+    for name in (
+        module.__dir__()
+        if module is kempe
+        else module.__all__
+        if hasattr(module, "__all__")
+        else ("rot_x",)
+    ):
+        if name[0] != "_" and len(name) > 4:
+            with pytest.raises(AttributeError, match=f"did you mean .*'{name}'"):
+                getattr(module, name[:-1] + "q" + name[-1:])
+    with pytest.raises(AttributeError, match="there are: '"):
+        _ = module.zzzzzz
+    assert not hasattr(module, "_private")
+
+
 @pytest.mark.parametrize("name", OPTIONS_ELSEWHERE)
 def test_options_of_other_libraries(name):
     meant = OPTIONS_ELSEWHERE[name].partition("=")[0]
+    verb = "frame" if meant == "at" else "ik"
     with pytest.raises(
-        CallError, match=rf"ik has no option '{name}'; (did you mean '|give ){meant}"
+        CallError, match=rf"{verb} has no option '{name}'; (did you mean '|give ){meant}"
     ):
-        ARM.ik([0.5, 0.2, 0.1], "tool", **{name: 1})
+        if verb == "ik":
+            ARM.ik([0.5, 0.2, 0.1], "tool", **{name: 1})
+        ARM.mechanism.frame("f", "link1", **{name: (0, 0, 0)})

@@ -255,4 +255,4 @@ def __getattr__(name: str) -> Any:
         return import_module("kempe.status").Status
     if name in ("constraints", "convert", "tasks"):
         return import_module(f"kempe.{name}")
-    raise AttributeError(f"module 'kempe' has no attribute {name!r}")
+    errors.raise_missing_name("kempe", name, __all__)

@@ -161,7 +161,9 @@ OPTIONS_ELSEWHERE = {
     ),
     **dict.fromkeys(("iterations", "max_iter", "max_iterations", "max_iters", "maxiter"), BUDGET),
     **dict.fromkeys(("max_time", "starts", "time_limit", "timeout"), BUDGET),
+    **dict.fromkeys(("random_state", "rng"), "budget=kempe.Budget(rng=...)"),
     **dict.fromkeys(("end_effector", "link"), "frame"),
+    **dict.fromkeys(("offset", "origin", "place", "pos", "xyz"), "at"),
 }
 """Options of other libraries, and what is in their place here."""
 
@@ -180,7 +182,7 @@ MEMBERS_ELSEWHERE = {
     "jacob0": "jacobian",
     "jacobe": "jacobian",
     "jac": "jacobian",
-    "dof": "mobility",
+    **dict.fromkeys(("dof", "gruebler", "grubler"), "mobility"),
     "n": "nq",
     "njoints": "joint_names",
     "links": "body_names",
@@ -192,8 +194,33 @@ MEMBERS_ELSEWHERE = {
     "close": "assemble",
     "step": "drive",
     "show_linkage": "plot",
+    "viewer": "show",
+    "tip": "frame_names",
+    "velocity": "jacobian",
 }
 """Members of other libraries' models, and those of a `System` in their place."""
+
+DECLARATIONS_ELSEWHERE = {
+    "add_body": "body",
+    "add_link": "body",
+    "link": "body",
+    "add_joint": "joint",
+    "hinge": "revolute",
+    "pin": "revolute",
+    "slide": "prismatic",
+    "slider": "prismatic",
+    "ball": "spherical",
+}
+"""Members of other libraries' descriptions, and those of a `Mechanism` in their place."""
+
+NAMES_ELSEWHERE = {
+    **dict.fromkeys(("DHRobot", "SerialLink"), "from_dh"),
+    **dict.fromkeys(("ERobot", "Robot", "URDF", "buildModelFromUrdf", "importrobot"), "load"),
+    **dict.fromkeys(("load_urdf", "loads", "open", "robot"), "load"),
+    **dict.fromkeys(("degrees", "deg2rad", "radians"), "deg"),
+    "rpy": "rpy_to_matrix",
+}
+"""Functions and classes of other libraries, and what a module of this one has in their place."""
 
 MEMBERS_WITHIN = {
     "lock": "mechanism.lock({...}).build()",
@@ -227,6 +254,16 @@ def raise_missing_member(owner: object, name: str, said: str = "") -> NoReturn:
         raise AttributeError(f"a {kind.__name__} has no {name!r}")
     said = said or hint(name, (n for n in dir(kind) if not n.startswith("_")))
     raise MissingMemberError(kind.__name__, name, said)
+
+
+def raise_missing_name(module: str, name: str, allowed: Iterable[str]) -> NoReturn:
+    """Raise the error of a name that a module lacks, from its `__getattr__`, with a hint."""
+    said = ""
+    if name[0] != "_":  # Python asks modules for many of these
+        meant = NAMES_ELSEWHERE.get(name)
+        allowed = list(allowed)
+        said = f"; did you mean {meant!r}?" if meant in allowed else hint(name, allowed)
+    raise AttributeError(f"module {module!r} has no {name!r}{said}")
 
 
 class CallError(KempeError, TypeError):

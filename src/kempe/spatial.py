@@ -6,14 +6,14 @@ quaternions (..., 4) in the order that the function's name says. Angles are radi
 
 from __future__ import annotations
 
-from typing import NamedTuple, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from kempe.arguments import numbers, quiet, together
 from kempe.arrays import warn_of_degrees
-from kempe.errors import InputError, format_value
+from kempe.errors import InputError, format_value, raise_missing_name
 from kempe.numerics.rank import Spectrum
 
 Array = NDArray[np.float64]
@@ -452,3 +452,9 @@ def fit_pose(particles: ArrayLike, places: ArrayLike) -> PoseFit:
     moved = given @ np.swapaxes(X[..., :dim, :dim], -1, -2) + X[..., None, :dim, 3]
     distances = np.linalg.norm(moved - there, axis=-1)
     return PoseFit(X, np.sqrt((distances**2).mean(axis=-1)), distances)
+
+
+def __getattr__(name: str) -> Any:
+    """Raise the error of a function that does not exist, with the nearest names."""
+    own = (n for n, x in globals().items() if getattr(x, "__module__", "") == __name__)
+    raise_missing_name(__name__, name, (n for n in own if n[0] != "_"))

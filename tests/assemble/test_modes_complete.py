@@ -119,7 +119,7 @@ def test_balls_made_of_hinges_count_like_others(end):
 def test_what_moves_besides_the_spin_is_still_not_finite():
     modes = kempe.load("rssr").assembly_modes()
     assert (
-        modes.status.startswith("not finite: there are some with 1 freedom left")
+        modes.status.startswith("infinitely many: there are sets of them with 1 degree of")
         and len(modes) == 1
     )
 

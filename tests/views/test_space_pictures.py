@@ -187,7 +187,7 @@ def test_limits_are_a_rectangle_and_its_image():
 
 @pytest.mark.slow
 def test_what_cannot_be_drawn_is_said():
-    with pytest.raises(UnsupportedError, match="two freedoms.*puma560 has 6 coordinates"):
+    with pytest.raises(UnsupportedError, match="two degrees of freedom.*puma560 has 6 coordinates"):
         kempe.load("puma560").plot_spaces("tool")
     for name, frame, words in [
         ("four_bar", "coupler_point", "four_bar has 1 freedom and loops"),

@@ -69,7 +69,10 @@ def choose_task(task: object, is_position: bool, particle: bool) -> str:
     if task is None:
         return "position" if is_position or particle else "pose"
     if not isinstance(task, str) or task not in TASKS:
-        raise InputError(f"task is {task!r}; it must be one of {', '.join(map(repr, TASKS))}")
+        raise InputError(
+            f"task is {task!r}; it must be one of {', '.join(map(repr, TASKS))}, or a pair of the "
+            "last two and an axis: ('direction', (1, 0, 0))"
+        )
     if particle and task != "position":
         raise InputError(f"task {task!r} asks for an orientation, which a particle does not have")
     return task

@@ -30,7 +30,7 @@ from kempe.budget import Budget, TimeUp, list_checks
 from kempe.constraints.tape import TIME
 from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.task_functions import add_held_constraints
-from kempe.errors import InputError
+from kempe.errors import InputError, format_value
 from kempe.model.configurations import make_q, warn_of_degrees_in_values
 from kempe.model.model import keep_answers
 from kempe.model.time_coordinate import fix_known_time
@@ -59,7 +59,7 @@ def assemble(
     # asking what a dict is takes long
     if given.__class__ is not dict and not isinstance(given, Mapping):
         raise InputError(
-            f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame "
+            f"known is {format_value(given)}; it must be a dict of values by coordinate or frame "
             "name"
         )
     if also.__class__ is not tuple or also:

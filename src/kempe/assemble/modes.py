@@ -41,7 +41,7 @@ from kempe.constraints.tape import TIME
 from kempe.description.parts import Declared
 from kempe.equations.closure_rows import evaluate_constraints
 from kempe.equations.one_sided import pack_one_sided_rows
-from kempe.errors import InputError
+from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk, jacobian
 from kempe.joints import P
 from kempe.model.characteristic_length import compute_characteristic_length
@@ -879,7 +879,7 @@ def assembly_modes(
     given: Mapping[str, Any] = {} if known is None else known
     if not isinstance(given, Mapping):
         raise InputError(
-            f"known is {type(given).__name__}; it must be a dict of values by coordinate or frame "
+            f"known is {format_value(given)}; it must be a dict of values by coordinate or frame "
             "name"
         )
     if TIME in given:
@@ -970,7 +970,7 @@ def find_modes_by_dyads(problem: Problem) -> Modes:
         status = f"not proven complete: {len(ok)} of {all_} {do}, and {them}"
         if free.any():
             moving = f"{int((free > 0).sum())} of {format_count(len(q), 'configuration')}"
-            status = f"not finite: {moving} can move with these inputs held; {them}"
+            status = f"infinitely many: {moving} can move with these known values; {them}"
         elif not len(q):
             status = f"none found, without proof: {them}"
     if new:
@@ -1109,10 +1109,12 @@ def find_modes_by_starts(problem: Problem) -> Modes:
             if len(isolated)
             else ""
         )
-        left = "1 freedom" if free.max() == 1 else f"up to {free.max()} freedoms"
+        left = (
+            "1 degree of freedom" if free.max() == 1 else f"up to {free.max()} degrees of freedom"
+        )
         status = (
-            f"not finite: {besides}there are some with {left} left, of which one is shown; give "
-            "more inputs"
+            f"infinitely many: {besides}there are sets of them with {left}, of which one "
+            "configuration is shown; give more known coordinates"
         )
         families = families[[_choose_example(problem, found.clusters, families)]]
     if found.spins:

@@ -7,7 +7,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import numpy as np
@@ -17,11 +17,14 @@ from rich.text import Text
 from typer.core import TyperGroup
 
 from kempe.errors import (
+    MEMBERS_ELSEWHERE,
+    OPTIONS_ELSEWHERE,
     PROBLEM_LIMIT,
     DescriptionError,
     Fault,
     KempeError,
     TimeLimitError,
+    hint,
     shorten_lines,
 )
 from kempe.status import Status
@@ -76,7 +79,7 @@ class Commands(TyperGroup):
                     else [arg for arg in args[:1] if arg in self.commands]
                 )
                 path = " ".join(["kempe", *words])
-                message = getattr(error, "format_message", error.__str__)()
+                message = explain_usage(error, self.commands)
                 print_error(f"{message} (see '{path} --help')", "--json" in args)
                 code = REFUSED
             except typer.Abort:
@@ -87,6 +90,26 @@ class Commands(TyperGroup):
             code = code or COMPLETE
             sys.exit(code if flush_output() else UNREAD)
         return code
+
+
+def explain_usage(error: Any, commands: Iterable[str]) -> str:
+    """Explain wrong usage; of an unknown command or option, say which one is meant."""
+    message = getattr(error, "format_message", error.__str__)()
+    unknown = re.match(r"(No such command '([^']*)')", message)
+    if unknown:
+        said, name = unknown.groups()
+        meant, allowed = MEMBERS_ELSEWHERE.get(name, ""), list(commands)
+        dashes = ""
+    elif message.startswith("No such option") and error.ctx:
+        option = error.option_name
+        said, name, dashes = f"No such option: {option}", option.lstrip("-"), "--"
+        meant = OPTIONS_ELSEWHERE.get(name.replace("-", "_"), "")
+        options = (o for p in error.ctx.command.params for o in p.opts)
+        allowed = [o[2:] for o in options if o.startswith("--")]
+    else:
+        return message
+    advice = f"; did you mean {meant!r}?" if meant in allowed else hint(name, allowed)
+    return said + re.sub(r"'(?=\w)", f"'{dashes}", advice)
 
 
 def flush_output() -> bool:

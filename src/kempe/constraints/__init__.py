@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from kempe.constraints import base
 from kempe.constraints.base import Constraint, End, Op, Row
+from kempe.errors import raise_missing_name
 
 if TYPE_CHECKING:
     from kempe.constraints.base import KINDS, kind
@@ -82,7 +83,7 @@ MODULES = ("clearances", "contacts", "curves", "equations", "kinds", "coordinate
 def __getattr__(name: str) -> Any:
     """Return a kind by its name, the decorator `kind`, or the table of all kinds."""
     if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        raise_missing_name(__name__, name, __all__)
     for module in MODULES:
         import_module(f"{__name__}.{module}")
     own = {

@@ -295,13 +295,24 @@ def find_planar_axis(
     return axis
 
 
+MOTIONS = {
+    "align": "the axis",
+    "unalign": "the axis of the child",
+    "rx": "a turn about x",
+    "ry": "a turn about y",
+    "quat_wxyz": "the quaternion",
+    "matrix": "the rotation matrix",
+}
+"""Elementary motions of a placement, as words of a message."""
+
+
 def check_planar_placement(subject: str, X: Placement, where: Where | None) -> None:
     """Raise `DescriptionError` if a placement of a planar system leaves the xy-plane."""
     for motion, _ in X.steps:
         if motion not in ("x", "y", "rz"):
             raise_problem(
                 subject,
-                f"{motion} leaves the plane",
+                f"{MOTIONS.get(motion, motion)} leaves the plane",
                 where,
                 "planar systems take x, y and turns about z",
             )

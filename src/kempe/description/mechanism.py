@@ -47,6 +47,7 @@ from kempe.description.keywords import (
 from kempe.description.parts import Body, Coupling, Declared, Frame, Joint, Shape
 from kempe.description.source import pause_garbage_collection
 from kempe.errors import (
+    DECLARATIONS_ELSEWHERE,
     MEMBERS_ELSEWHERE,
     DescriptionError,
     Fault,
@@ -2362,8 +2363,11 @@ class Mechanism:
         def __getattr__(self, name: str) -> NoReturn:
             """Raise the error of a missing member: members of a `System` need `build` first."""
             member = MEMBERS_ELSEWHERE.get(name, name)
-            built = member[0] != "_" and hasattr(import_late_member("System"), member)
-            said = f": call build() first; {member} is a member of the System" if built else ""
+            said = ""
+            if name in DECLARATIONS_ELSEWHERE:
+                said = f"; did you mean {DECLARATIONS_ELSEWHERE[name]!r}?"
+            elif member[0] != "_" and hasattr(import_late_member("System"), member):
+                said = f": call build() first; {member} is a member of the System"
             raise_missing_member(self, name, said)
 
     def build(self) -> System:
@@ -2512,9 +2516,10 @@ class Mechanism:
         """
         name = body.name if isinstance(body, Body) else body
         if not isinstance(name, str) or name not in self.bodies:
-            checks.raise_problem(
-                subject, str(UnknownNameError("body", name, self.bodies, self.name)), where
-            )
+            said = str(UnknownNameError("body", name, self.bodies, self.name))
+            called = isinstance(name, str) and where is None  # by a program, not by a file
+            advice = f"a new body is declared by body({name!r})" if called else ""
+            checks.raise_problem(subject, said, where, advice)
         return self.bodies[name]
 
     def _make_placement(

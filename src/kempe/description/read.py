@@ -42,6 +42,7 @@ from kempe.errors import (
     UnknownNameError,
     UnsupportedError,
     Where,
+    format_value,
 )
 from kempe.library import find_model_file as library_path
 from kempe.library import list_models as library_models
@@ -115,7 +116,7 @@ def read_mechanism(
             raise InputError("xacro is expanded from a file, not from text; give its path")
         return _read_text(source, "<text>", how)
     if not isinstance(source, (str, Path)):
-        raise InputError(f"source is a {type(source).__name__}; it must be a path, text or bytes")
+        raise InputError(f"source is {format_value(source)}; it must be a path, text or bytes")
     path = expand_path(source)
     if isinstance(source, str) and not os.path.exists(path) and source in library_models():
         return _read_text(
@@ -260,10 +261,11 @@ def _suggest_files(path: Path) -> str:
     folder = path.parent
     if not os.path.isdir(folder):
         return f"there is no folder {str(folder)!r} either"
-    names = [
-        *(library_models() if folder == Path(".") and not path.suffix else ()),
-        *_list_model_files(folder),
-    ]
+    files = _list_model_files(folder)
+    shipped = library_models() if folder == Path(".") else ()
+    if path.stem in shipped:
+        return f"{path.stem!r}, without an ending, is a shipped model"
+    names = [*(shipped if not path.suffix else ()), *files]
     import difflib  # only here: most files exist
 
     by_stem: dict[str, list[str]] = {}  # endings are alike in files that have nothing in common

@@ -167,11 +167,12 @@ def ik_step(
 ) -> IkStep:
     """Compute velocities for a twist, a pose or tasks, within all limits; see `System.ik_step`."""
     q = read_q(system, q)
-    if q.ndim != 1 or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf):
-        raise InputError(
-            f"q has shape {q.shape}, dt is {dt!r}, damping {damping!r}; needed are one "
-            f"configuration ({system.nq},), a positive time dt in seconds and a number not negative"
-        )
+    if q.ndim != 1:
+        raise InputError(f"q has shape {q.shape}; it must be one configuration ({system.nq},)")
+    if not 0.0 < dt < math.inf:
+        raise InputError(f"dt is {dt!r}; it must be a positive time in seconds, such as dt=0.01")
+    if not 0.0 <= damping < math.inf:
+        raise InputError(f"damping is {damping!r}; it must be a number, at least 0")
     speed = (
         list_speed_limits(system)
         if velocity_limits is None
@@ -772,8 +773,8 @@ def _parse_motion(wanted: Any) -> Array:
         good = _is_pose(x)
     if not good:
         raise InputError(
-            f"the wanted motion has shape {x.shape}; it must be a twist (6,) or a pose (4, 4), "
-            "finite, the rotation of a pose orthonormal with determinant +1"
+            f"the wanted motion has shape {x.shape}; it must be a twist (6,), the linear velocity "
+            "first, or a pose (4, 4), finite, the rotation of a pose orthonormal with determinant +1"
         )
     return x
 

@@ -18,6 +18,7 @@ from kempe.arrays import (
     is_array,
     is_number_list,
     is_real,
+    is_sequence,
     list_named_rows,
     read_mapping,
     read_reals,
@@ -134,8 +135,9 @@ def warn_of_degrees_in_values(system: Model, values: Mapping[str, Any]) -> None:
         if x.__class__ in PLAIN:
             if not -MOST_TURNED <= x <= MOST_TURNED and list_units(system).get(name) == "rad":
                 warn_of_degrees((x,), f"{name!r}")
-        elif is_array(x) and x.dtype.kind in "fiu" and list_units(system).get(name) == "rad":
-            warn_of_degrees(x, f"{name!r}")
+        elif is_sequence(x) or (is_array(x) and x.dtype.kind in "fiu"):
+            if list_units(system).get(name) == "rad":
+                warn_of_degrees(x, f"{name!r}")
 
 
 @keep_answers
@@ -307,7 +309,7 @@ def make_q(
     )
     if given is None:
         needed = "a dict by coordinate name, or the name of a posture"
-        raise InputError(f"coordinates are {type(coordinates).__name__}; they must be {needed}")
+        raise InputError(f"coordinates are {format_value(coordinates)}; they must be {needed}")
     warn_of_degrees_in_values(system, given)
     given = compute_source_values(system, given)
     index = _index_coordinates(system)

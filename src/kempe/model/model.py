@@ -16,7 +16,7 @@ from kempe.arguments import check_name
 from kempe.budget import check_for_stop
 from kempe.description.mechanism import Mechanism
 from kempe.description.parts import Body, Frame, Joint, ReadOnlyDict
-from kempe.errors import DescriptionError, Fault, UnknownNameError
+from kempe.errors import DescriptionError, Fault, InputError, UnknownNameError, format_value
 from kempe.model.coordinates import (
     Coordinates,
     Layout,
@@ -293,6 +293,11 @@ class Model:
     def __init__(
         self, mechanism: Mechanism, topology: Topology | None = None, table: Table | None = None
     ):
+        if not hasattr(mechanism, "parameters"):
+            raise InputError(
+                f"mechanism is {format_value(mechanism)}; it must be a Mechanism; kempe.load reads "
+                "a file or a shipped model"
+            )
         own = vars(self)  # attributes cannot be set: the system is frozen
         own["_mechanism"] = mechanism = mechanism.copy()
         own["_topology"] = find_spanning_tree(mechanism) if topology is None else topology

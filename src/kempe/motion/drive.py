@@ -36,10 +36,15 @@ from kempe.equations.closure import Closure, DrivenClosure, close_loops
 from kempe.equations.one_sided import pack_one_sided_rows
 from kempe.equations.slip import find_first_slip, has_velocity_constraints
 from kempe.equations.velocity import evaluate_velocity_rows
-from kempe.errors import InputError, UnsupportedError
+from kempe.errors import InputError, UnsupportedError, format_value
 from kempe.geometry.clearance import watch_clearances
 from kempe.geometry.path_clearance import Encounter, PathGuard, read_clearances
-from kempe.model.configurations import find_home, read_q, refuse_wound_angle
+from kempe.model.configurations import (
+    find_home,
+    read_q,
+    refuse_wound_angle,
+    warn_of_degrees_in_values,
+)
 from kempe.model.packed_loops import PackedLoops, pack_loops
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.motion.crossings import (
@@ -1076,8 +1081,9 @@ def drive(
         return _stop_before_encounter(found, guard.find_encounter(found.q))
     if not isinstance(inputs, Mapping):
         raise InputError(
-            f"inputs is {type(inputs).__name__}; it must be a dict of values by coordinate name"
+            f"inputs is {format_value(inputs)}; it must be a dict of values by coordinate name"
         )
+    warn_of_degrees_in_values(system, inputs)
     read_flag(limits, "limits")
     spend = USUAL.complete_budget(budget)
     if list_timed_constraints(system):

@@ -21,7 +21,7 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations import closure_rows
 from kempe.equations.one_sided import OneSided, pack_one_sided_rows
 from kempe.equations.velocity import evaluate_velocity_rows
-from kempe.errors import InputError, UnknownNameError, UnsupportedError
+from kempe.errors import InputError, UnknownNameError, UnsupportedError, format_value
 from kempe.forward.fk import fk, jacobian
 from kempe.model.configurations import sample_configurations
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
@@ -635,7 +635,7 @@ def _simulate_rolling(
     """Simulate a system under input velocities."""
     if not is_mapping(inputs):
         raise InputError(
-            f"inputs is {type(inputs).__name__}; it must be a dict of velocities by name"
+            f"inputs is {format_value(inputs)}; it must be a dict of velocities by name"
         )
     if velocity is not None or acceleration is not None:
         name = "velocity" if velocity is not None else "acceleration"

@@ -18,7 +18,7 @@ from kempe.joints import R
 from kempe.model.configurations import (
     find_home,
     make_q,
-    read_q,
+    read_start,
     refuse_wound_angles,
     sample_configurations,
 )
@@ -123,7 +123,7 @@ def read_start_configuration(system: Model, start: Any, hold: Mapping[str, float
     elif is_mapping(start):
         q = make_q(system, start, find_home(system))
     else:
-        q = read_q(system, start)
+        q = read_start(system, start)
     if q.shape != (system.nq,):
         raise InputError(f"start has shape {q.shape}; it must be one configuration ({system.nq},)")
     refuse_wound_angles(system, q, "start")

@@ -215,7 +215,7 @@ def make_held_equations(
     given: Mapping[str, float] = {} if hold is None else hold
     if not isinstance(given, Mapping):
         raise InputError(
-            f"hold is {type(given).__name__}; it must be a dict of values by coordinate name"
+            f"hold is {format_value(given)}; it must be a dict of values by coordinate name"
         )
     values = find_source_values(system, {str(k): x for k, x in given.items()})
     names = system.structure.velocity_names

@@ -330,7 +330,7 @@ SETS = 0.2
 FLAT = 1e-6
 """Area that rates of two coordinates span at half of all configurations, as a part of the largest,
 for these to be taken, and that of two that do not place the others."""
-NEEDED = "both spaces are drawn of systems with two freedoms"
+NEEDED = "pictures of both spaces need two degrees of freedom"
 
 
 Solve = Callable[[Array], tuple[Array, np.ndarray]]

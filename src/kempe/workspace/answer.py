@@ -707,7 +707,7 @@ class Workspace(Report):
         elif not high:
             said = [(name, f"0 {unit}, proven by lengths and limits")]
         else:
-            least = f"at least {low:.6g} {unit} but for chance"
+            least = f"at least {low:.6g} {unit} (confidence 97.5 %)"
             most = f"at most {high:.6g} {unit} by lengths and limits"
             said = [
                 (name, f"{value:.6g} +- {error:.2g} {unit}, estimated with the inverse model"),

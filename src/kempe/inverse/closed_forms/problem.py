@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.arrays import check_range, read_reals
-from kempe.errors import InputError, UnknownNameError
+from kempe.errors import InputError, UnknownNameError, format_value
 from kempe.model.configurations import read_start
 from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
@@ -104,7 +104,7 @@ def read_fixed_values(fixed: Any) -> Mapping[str, Any]:
     names: Any = fixed
     if fixed is not None and not isinstance(fixed, Mapping):
         raise InputError(
-            f"fixed is {type(fixed).__name__}; it must be a dict of values by joint name"
+            f"fixed is {format_value(fixed)}; it must be a dict of values by joint name"
         )
     return names or {}
 

@@ -754,7 +754,8 @@ def make_distinct_tasks(wanted: Any, system: Model) -> tuple[Task, ...]:
         what = "an empty list" if is_sequence(wanted) and not wanted else format_value(wanted)
         raise InputError(
             "without a frame the target must be a task of kempe.tasks or a list of them; it is "
-            f"{what}"
+            f"{what}; a pose or a position needs the name of a frame: ik(target, "
+            f"{system.frame_names[-1]!r})"
         )
     out: dict[str, Task] = {}
     for constraint in given:
