@@ -1272,7 +1272,7 @@ class System(Model, Pictured):
         constraints as limits do. With a `Clearance` among the tasks no step leads nearer than asked,
         or nearer than before where that was too near: distances are measured after the step.
         """
-        if frame.__class__ is str and weights is None:
+        if (frame is None or frame.__class__ is str) and weights is None:
             bound = self._kept["ik_step"].get(frame)
             if (
                 bound is not None

@@ -14,12 +14,14 @@ import numpy as np
 import pytest
 import sources
 from hunts import part
-from kinds_battery import EXAMPLES, run
+from kinds_battery import EXAMPLES, run, two_bodies
+from scipy.spatial.transform import Rotation
 
 from kempe import constraints as c
 from kempe.constraints import KINDS
 from kempe.constraints.base import Constraint, kind, make_content_key
 from kempe.constraints.clearances import Apart
+from kempe.equations.tasks import Task
 from kempe.errors import InputError
 
 HERE = Path(__file__).parent
@@ -158,3 +160,35 @@ def test_the_content_of_a_constraint_is_its_kind_and_what_it_says_but_not_the_pa
 )
 def test_messages_name_what_a_constraint_is_about(name, label):
     assert EXAMPLES[name](3).label == label
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize("name", [name for name in EXAMPLES if KINDS[name].goals])
+def test_only_the_goal_depends_on_what_is_declared_to_be_one(dim, name):
+    """A task copied with another goal is the one that would be made anew."""
+    system = two_bodies(dim).build()
+    rng = np.random.default_rng(2)
+    made = EXAMPLES[name](dim)
+    first = Task(system, made)
+    key, pose = first.structure_key, first.goal.pose
+    (field,) = made.goals
+    given = np.array(getattr(made, field), dtype=float)
+    for _ in range(10):
+        if given.ndim == 2:
+            turn = Rotation.from_rotvec(rng.normal(size=3) * ((0, 0, 1) if dim == 2 else 1))
+            new = np.eye(len(given))
+            new[: len(given) - 1, -1] = rng.normal(size=len(given) - 1)
+            rotation = slice(3 if name == "orientation" else dim)
+            new[rotation, rotation] = turn.as_matrix()[rotation, rotation]
+        else:
+            new = rng.normal(size=given.shape)
+        other = replace(made, **{field: new})
+        copied = first.copy_with_goal(other)
+        anew = Task(system, other)
+        assert copied.structure is first.structure and copied.structure_key == key
+        assert anew.structure_key == key and anew.structure is not first.structure
+        assert np.array_equal(copied.goal.pose, anew.goal.pose)
+        assert not np.array_equal(copied.goal.pose, pose)
+        q = system.random(rng, 5)
+        for a, b in zip(copied.measure_error(q), anew.measure_error(q), strict=True):
+            assert np.array_equal(a, b)

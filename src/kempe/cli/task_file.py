@@ -141,8 +141,7 @@ class _TaskReader:
                 watch_clearances(self.system, [made])
             else:
                 task = Task(self.system, made)
-                task.make_structure_key()
-                _ = task.goal
+                _ = task.structure_key, task.goal
         except (InputError, UnknownNameError) as error:
             about = [k for k in given if re.search(rf"\b{k}\b", str(error))]
             if isinstance(error, UnknownNameError):

@@ -401,6 +401,8 @@ class Constraint(ABC):
     """What is said where it is given `at_least` or `at_most` and has none; see `Bounded`."""
     zero: ClassVar[float] = 0.0
     """What `low` or `high` of a row may name."""
+    goals: ClassVar[tuple[str, ...]] = ()
+    """Fields of numbers that only `make_goal_poses` reads."""
 
     @abstractmethod
     def list_rows(self, dim: int) -> tuple[Row, ...]:
@@ -679,18 +681,37 @@ LONGEST = 64
 """Most numbers of a value that is compared."""
 
 
-def freeze_fields(constraint: Constraint) -> Any:
-    """Return the values of all fields, copied; they are equal later only if none has changed.
+class Content(NamedTuple):
+    """Values of the fields of a constraint, copied: they are equal later only if none has changed.
 
-    Arrays and lists can change in place. `CHANGING` is returned where a change would not be seen.
+    Arrays and lists can change in place. Where a change would not be seen there is `CHANGING`.
     """
-    return _freeze_value([getattr(constraint, n) for n in _list_field_names(type(constraint))])
+
+    kind: type[Constraint]
+    rest: Any
+    goals: Any
+
+    @property
+    def comparable(self) -> bool:
+        """Whether each change would be seen."""
+        return self.rest is not CHANGING and self.goals is not CHANGING
+
+
+def freeze_fields(constraint: Constraint) -> Content:
+    """Copy the values of all fields, those that only the goal is read from apart."""
+    kind = constraint.__class__
+    rest, goals = _list_field_names(kind)
+    return Content(
+        kind,
+        _freeze_value([getattr(constraint, n) for n in rest]),
+        _freeze_value([getattr(constraint, n) for n in goals]),
+    )
 
 
 @lru_cache(maxsize=512)
-def _list_field_names(kind: type[Constraint]) -> tuple[str, ...]:
-    """List the names of all fields of a kind."""
-    return tuple(f.name for f in fields(kind))
+def _list_field_names(kind: type[Constraint]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """List the names of the fields of a kind: of those that are no goals, and of goals."""
+    return tuple(f.name for f in fields(kind) if f.name not in kind.goals), kind.goals
 
 
 def _freeze_value(x: Any) -> Any:

@@ -81,6 +81,8 @@ class _OfCentre(Bounded):
     Along a single axis it may have bounds.
     """
 
+    goals: ClassVar[tuple[str, ...]] = ("target",)
+
     @property
     def ends(self) -> tuple[Any, Any]:
         """The ground as end A, and None as end B, since a centre of mass is not a frame."""

@@ -208,6 +208,8 @@ class Pose(Placed):
     target: Matrix
     other: Frame | None = field(default=None, kw_only=True)
 
+    goals: ClassVar[tuple[str, ...]] = ("target",)
+
     def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Return rows of the position and the orientation of the frame."""
         return list_pose_rows(dim)
@@ -249,6 +251,8 @@ class Position(Measured):
     point: Point = ORIGIN
     other: Frame | None = field(default=None, kw_only=True)
 
+    goals: ClassVar[tuple[str, ...]] = ("target",)
+
     def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Return rows of the position of the point, or one of its distance from the target."""
         return self.list_bounded_rows(Op.DISTANCE) if self.bounded else list_point_rows(dim)
@@ -289,6 +293,7 @@ class Orientation(Measured):
     other: Frame | None = field(default=None, kw_only=True)
 
     measured: ClassVar[str] = "angle"
+    goals: ClassVar[tuple[str, ...]] = ("target",)
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Return one row: the rotation, or its angle."""
@@ -348,6 +353,8 @@ class Pointing(_Axis):
     axis: Direction = None
     other: Frame | None = field(default=None, kw_only=True)
 
+    goals: ClassVar[tuple[str, ...]] = ("direction",)
+
     def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Return one row: the direction of the axis, or its angle to the target."""
         return self.list_bounded_rows(Op.TAPE, TILTED, 0) if self.bounded else (TILT,)
@@ -396,6 +403,8 @@ class LookAt(_Axis):
     target: Point
     axis: Direction = None
     other: Frame | None = field(default=None, kw_only=True)
+
+    goals: ClassVar[tuple[str, ...]] = ("target",)
 
     def list_rows(self, dim: int) -> tuple[Row, ...]:
         """Return one row: the direction of the axis, or its angle to the line of sight."""
@@ -720,6 +729,7 @@ class RelativePose(Placed):
     other: Frame
     target: Matrix
 
+    goals = Pose.goals
     list_rows = Pose.list_rows
     make_goal_poses = Pose.make_goal_poses
 
@@ -751,6 +761,7 @@ class RelativePosition(Measured):
     target: Point
     point: Point = ORIGIN
 
+    goals = Position.goals
     list_rows = Position.list_rows
     make_goal_poses = Position.make_goal_poses
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from kempe.constraints.base import CHANGING, KINDS, Constraint, freeze_fields
+from kempe.constraints.base import KINDS, Constraint, freeze_fields
 from kempe.constraints.clearances import Apart
 from kempe.forward.fk import fk
 from kempe.geometry.clearance import compute_gap_gradients, watch_clearances
@@ -64,12 +64,11 @@ def make_clear_step(
     if not tasks:
         posture: Any = KINDS["posture"]
         tasks = [posture(q)]
-    content: list[Any] = [freeze_fields(t) for t in tasks]
-    kinds: list[Any] = [type(t) for t in tasks]
+    content = [freeze_fields(t) for t in tasks]
     upcoming: dict[Any, tuple[Any, tuple[IkStep, bool]]]
     upcoming = system._kept.setdefault(make_clear_step, {})
     key = tuple([(c.sides, c.at_least) for c in clearances])
-    asked = None if CHANGING in content else (case, kinds, content)
+    asked = (case, content) if all([c.comparable for c in content]) else None
 
     def take_whole_step(x: Array) -> tuple[IkStep, bool]:
         kept = upcoming.get(key)

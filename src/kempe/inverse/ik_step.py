@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kempe.answers.answer import Answer
-from kempe.arguments import explain_errors, explain_method_errors
+from kempe.arguments import FOREIGN, explain_errors, explain_method_errors
 from kempe.arrays import is_sequence, read_reals
 from kempe.constraints.clearances import Apart
 from kempe.equations.one_sided import pack_one_sided_rows
@@ -186,7 +187,8 @@ def ik_step(
                 "keep_direction and weights are for the twist of a frame; tasks have weights of "
                 "their own"
             )
-        return _make_task_step(system, q, wanted, dt, speed, default, damping)
+        steps = bind_call(system, "ik_step", None, lambda: TaskSteps(system))
+        return steps.take_step(q, wanted, dt, speed, default, damping)
     name = system.structure.frame_name(frame)
     if (
         has_velocity_constraints(system)
@@ -465,26 +467,148 @@ class BoundTaskStep:
 class BoundTasks:
     """Tasks of a step with what is prepared for them: the step of their structure, and their goals.
 
-    There is no `step` where the kernel takes none.
+    There are no `pins` where the kernel takes no step.
     """
 
     def __init__(self, system: Model, wanted: Any, q: Array, tasks: tuple[Task, ...]):
         from kempe.inverse.tasks.search import pack_tasks
 
-        self.tasks = tasks
-        packed = pack_tasks(system, tasks, False)
-        goals = [t.goal for t in tasks]
-        self.step: BoundTaskStep | None = None
-        if find_leading_shape(goals):
-            return
+        self.packed = pack_tasks(system, tasks, False)
         key = BoundTaskStep, *((t.priority, t.weight) for t in tasks)
-        self.step = packed.stages.get(key)
-        if self.step is None:
-            if not _is_open(packed):
-                return
-            made = BoundTaskStep(make_step_problem(system, wanted, q))
-            self.step = store_answer(packed.stages, key, made, KEPT)
-        self.pins = packed.pack_pins(goals)[0]
+        self.step: BoundTaskStep | None = self.packed.stages.get(key)
+        if self.step is None and _is_open(self.packed):
+            if not find_leading_shape([t.goal for t in tasks]):
+                made = BoundTaskStep(make_step_problem(system, wanted, q))
+                self.step = store_answer(self.packed.stages, key, made, KEPT)
+        self.set_goals(tasks)
+
+    def set_goals(self, tasks: tuple[Task, ...]) -> BoundTasks:
+        """Pack the goals of tasks of the same structure."""
+        self.tasks = tasks
+        goals = [t.goal for t in tasks]
+        single = self.step is not None and not find_leading_shape(goals)
+        self.pins = self.packed.pack_pins(goals)[0] if single else None
+        return self
+
+    def find_tasks(self, tasks: tuple[Task, ...]) -> BoundTasks | None:
+        """Return what is prepared for tasks; None where their structure is another."""
+        if self.tasks == tasks:
+            return self
+        if [t.structure for t in self.tasks] != [t.structure for t in tasks]:
+            return None
+        return copy.copy(self).set_goals(tasks)  # another thread may still read this one
+
+
+class TaskSteps:
+    """`ik_step` of tasks, with what is prepared for the last of each label."""
+
+    def __init__(self, system: Model):
+        from kempe.inverse.tasks.search import make_distinct_tasks
+
+        self.system = system
+        self.speed = list_speed_limits(system)
+        self._make_tasks = make_distinct_tasks
+        self._bound: dict[tuple[str, ...], BoundTasks] = {}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return TaskSteps, (self.system,)
+
+    def __call__(
+        self,
+        q: Any,
+        wanted: Any,
+        dt: Any,
+        velocity_limits: Any,
+        damping: Any,
+        keep_direction: bool,
+    ) -> IkStep | None:
+        """Return the step of a plain call; None where arguments have to be looked at."""
+        if (
+            q.__class__ is not np.ndarray
+            or q.shape != (self.system.nq,)
+            or q.dtype != np.float64
+            or velocity_limits.__class__ not in PLAIN
+            or keep_direction
+            or not (0.0 < dt < math.inf and 0.0 <= damping < math.inf)
+        ):
+            return None
+        default = velocity_limits is None
+        if default:
+            speed = self.speed
+        elif velocity_limits >= 0.0:
+            speed = np.full(self.system.nv, velocity_limits, dtype=np.float64)
+        else:
+            return None
+        given = wanted if wanted.__class__ is list else [wanted]
+        if any([isinstance(t, Apart) for t in given]):
+            return None
+        try:
+            with np.errstate(all="ignore"):
+                return self.take_kernel_step(
+                    np.ascontiguousarray(q), given, dt, speed, default, damping
+                )
+        except FOREIGN:
+            return None
+
+    def take_step(
+        self,
+        q: Array,
+        wanted: Any,
+        dt: float,
+        speed: Array,
+        default: bool,
+        damping: float,
+        near: NearRows | None = None,
+    ) -> IkStep:
+        """Take a step with arguments that were looked at.
+
+        Bodies at `near` keep apart, before all tasks.
+        """
+        given = list(wanted) if is_sequence(wanted) else [wanted]
+        if any(isinstance(t, Apart) for t in given):
+            from kempe.inverse.clear_step import make_clear_step
+
+            return make_clear_step(
+                self.system,
+                q,
+                given,
+                dt,
+                (dt, speed.tobytes(), default, damping),
+                speed,
+                lambda x, tasks, near: self.take_step(x, tasks, dt, speed, default, damping, near),
+            )
+        answer = self.take_kernel_step(
+            np.ascontiguousarray(q), wanted, dt, np.ascontiguousarray(speed), default, damping, near
+        )
+        if answer is not None:
+            return answer
+        return _make_constrained_step(
+            self.system, q, wanted, None, dt, speed, default, damping, False, None, near
+        )
+
+    def take_kernel_step(
+        self,
+        q: Array,
+        wanted: Any,
+        dt: float,
+        speed: Array,
+        default: bool,
+        damping: float,
+        near: NearRows | None = None,
+    ) -> IkStep | None:
+        """Take a step in one kernel call; None where loops or declared constraints hold, and for
+        goals that are none: the general way says why.
+        """
+        tasks = self._make_tasks(wanted, self.system)
+        labels = tuple([t.label for t in tasks])
+        kept = self._bound.get(labels)
+        bound = None if kept is None else kept.find_tasks(tasks)
+        if bound is None or bound is not kept:
+            bound = bound or BoundTasks(self.system, wanted, q, tasks)
+            store_answer(self._bound, labels, bound, KEPT)
+        if bound.pins is None or bound.step is None:
+            return None
+        return bound.step.take_step(bound.pins, q, float(dt), speed, float(damping), default, near)
 
 
 def _is_open(packed: Packed) -> bool:
@@ -494,61 +618,6 @@ def _is_open(packed: Packed) -> bool:
         or packed.one_sided.declared
         or has_velocity_constraints(packed.system)
         or any(t.function is not None for t in packed.loops.ties)
-    )
-
-
-def _make_task_step(
-    system: Model,
-    q: Array,
-    wanted: Any,
-    dt: float,
-    speed: Array,
-    default: bool,
-    damping: float,
-    near: NearRows | None = None,
-) -> IkStep:
-    """Make a step for tasks: in one kernel call where no loops or declared constraints hold.
-
-    Bodies at `near` keep apart, before all tasks. The kernel gives no step for goals that are none;
-    the general way says why.
-    """
-    given = list(wanted) if is_sequence(wanted) else [wanted]
-    if any(isinstance(t, Apart) for t in given):
-        from kempe.inverse.clear_step import make_clear_step
-
-        return make_clear_step(
-            system,
-            q,
-            given,
-            dt,
-            (dt, speed.tobytes(), default, damping),
-            speed,
-            lambda x, tasks, near: _make_task_step(
-                system, x, tasks, dt, speed, default, damping, near
-            ),
-        )
-    from kempe.inverse.tasks.search import make_distinct_tasks
-
-    tasks = make_distinct_tasks(wanted, system)
-    steps = system._kept.setdefault(BoundTasks, {})
-    labels = tuple([t.label for t in tasks])
-    bound = steps.get(labels)
-    if bound is None or bound.tasks != tasks:
-        bound = store_answer(steps, labels, BoundTasks(system, wanted, q, tasks), KEPT)
-    if bound.step is not None:
-        answer = bound.step.take_step(
-            bound.pins,
-            np.ascontiguousarray(q),
-            float(dt),
-            np.ascontiguousarray(speed),
-            float(damping),
-            default,
-            near,
-        )
-        if answer is not None:
-            return answer
-    return _make_constrained_step(
-        system, q, wanted, None, dt, speed, default, damping, False, None, near
     )
 
 

@@ -16,7 +16,7 @@ from kempe.arrays import is_sequence, is_whole
 from kempe.assemble.bound import TOLERANCE as CLOSED
 from kempe.assemble.nearest_exact import find_ideal_system, find_nearest_exact_in_time
 from kempe.budget import Usual
-from kempe.constraints.base import CHANGING, Constraint, freeze_fields
+from kempe.constraints.base import Constraint, Content, freeze_fields
 from kempe.equations.packed_tasks import Packed, find_leading_shape, refuse_goal
 from kempe.equations.task_functions import (
     REAL_STEP,
@@ -379,7 +379,7 @@ def pack_tasks(system: Model, tasks: tuple[Task, ...], turns: bool) -> Packed:
         order = sorted({get_task_level(t) for t in tasks})
         if any(soft for _, soft in order[:-1]):
             levels = tuple(order.index(get_task_level(t)) for t in tasks)
-    key = (turns, levels, *((t.label, t.make_structure_key()) for t in tasks))
+    key = (turns, levels, *((t.label, t.structure_key) for t in tasks))
     answers = system._kept.setdefault(pack_tasks, {})
     found = answers.get(key)
     if found is None:
@@ -771,14 +771,22 @@ def make_distinct_tasks(wanted: Any, system: Model) -> tuple[Task, ...]:
 
 
 def _find_task(system: Model, constraint: Constraint, label: str) -> Task:
-    """Find the checked task of a constraint: the last one of its label, where nothing changed."""
-    tasks = system._kept.setdefault(_find_task, {})
+    """Find the checked task of a constraint: the last one of its label, where nothing changed, or
+    one with its structure, where only the goal did.
+    """
+    tasks: dict[str, tuple[Constraint, Content, Task]] = system._kept.setdefault(_find_task, {})
     content = freeze_fields(constraint)
     kept = tasks.get(label)
-    if kept is not None and kept[0] is constraint and kept[1] == content:
-        return kept[2]
-    task = _make_task(system, constraint, label)
-    if content is not CHANGING and task.lasting:
+    task = None
+    if kept is not None:
+        old, before, task = kept
+        # the task reads the arrays of the constraint that it was made of
+        if content == before and (old is constraint or freeze_fields(old) == before):
+            return task
+        same = content.kind is before.kind and content.rest == before.rest
+        task = task.copy_with_goal(constraint) if same and label == constraint.label else None
+    task = task or _make_task(system, constraint, label)
+    if content.comparable and task.lasting:
         store_answer(tasks, label, (constraint, content, task))
     return task
 
