@@ -159,8 +159,10 @@ def run_blocks(blocks: Iterable[Block], path: Path) -> Iterator[Outcome]:
             with contextlib.redirect_stdout(printed):
                 exec(code, names)
             pictures = [n for _, to in block.pictures if Path(n := Path(to).name).is_file()]
+            kinds = iter([Path(to).suffix for _, to in block.pictures[len(pictures) :]])
             for k, figure in enumerate(pyplot.get_fignums()):
-                pictures.append(save_figure(pyplot.figure(figure), f"picture_{number}_{k}"))
+                stem = f"picture_{number}_{k}"
+                pictures.append(save_figure(pyplot.figure(figure), stem, next(kinds, None)))
             pyplot.close("all")
         for command, _ in block.commands:
             done = CliRunner().invoke(
@@ -182,9 +184,13 @@ def trim_lines(text: str) -> str:
     )
 
 
-def save_figure(figure: Any, stem: str) -> str:
-    """Write a figure as SVG, or as PNG where that is larger than `LARGEST`, and return the name."""
+def save_figure(figure: Any, stem: str, kind: str | None = None) -> str:
+    """Write a figure as SVG, or as PNG where that is larger than `LARGEST`, and return the name.
+
+    A picture of the `kind` ".svg" or ".png" stays so: sizes near `LARGEST` differ by machine.
+    """
     file = Path(f"{stem}.svg")
+    largest = {None: LARGEST, ".svg": 1.1 * LARGEST}.get(kind, 0)
     figure.savefig(file, bbox_inches="tight", pad_inches=0.05, metadata={"Date": None})
     text = re.sub(
         r'\b(d|x|y|points)="[^"]*"',
@@ -193,7 +199,8 @@ def save_figure(figure: Any, stem: str) -> str:
     )
     file.write_text(re.sub(r" +$", "", text, flags=re.MULTILINE), encoding="utf-8")
     dpi = 100
-    while file.stat().st_size > LARGEST:
+    while file.stat().st_size > largest:
+        largest = LARGEST
         file = file.with_suffix(".png")
         figure.savefig(
             file, bbox_inches="tight", pad_inches=0.05, dpi=dpi, metadata={"Software": None}
