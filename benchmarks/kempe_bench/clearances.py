@@ -70,7 +70,7 @@ class Cell:
         self.pairs = self.system.geometry.pairs
 
     def measure_distance(self, q: Array) -> Any:
-        """Measure the smallest distances by coal on the shapes."""
+        """Measure the smallest distances of the shapes."""
         return self.system.geometry.clearance(q)
 
     def find_hands(self, q: Array) -> Array:
@@ -263,7 +263,7 @@ def push(bench: Bench) -> Grid:
             ]
     table.remarks.append(
         f"two arms of six turns, spheres on their links; cycles of {CYCLE:g} s, joints up to "
-        f"{SPEED:g} rad/s; distances are measured by coal after each cycle"
+        f"{SPEED:g} rad/s; distances are measured after each cycle"
     )
     table.at_most("cycles nearer than asked, 0", table.value("Kempe", "cycles nearer"), 0.0)
     return table

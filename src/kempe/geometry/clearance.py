@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,6 +14,7 @@ from kempe.arrays import unwrap_scalar
 from kempe.constraints.clearances import Apart
 from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import find_query, fk, jacobian
+from kempe.geometry.smallest_distance import SmallestDistance
 from kempe.geometry.solids import Gap, Placed, Solids, get_solids
 from kempe.model.configurations import read_q
 from kempe.model.model import store_answer
@@ -87,13 +89,9 @@ def compute_clearance(system: Model, q: Any, pairs: Pairs | None = None) -> Any:
     q = read_q(system, q)
     solids = get_solids(system)
     wanted = _read_pairs(system, solids, pairs)
-    poses = fk(system, q, solids.names).reshape(-1, len(solids.names), 4, 4)
     couples = [couple for pair in wanted for couple in solids.list_couples(pair)]
-    out = np.full(len(poses), np.inf)
-    if couples:
-        each = np.array(couples)
-        for k, X in enumerate(poses):
-            out[k] = Placed(solids, X).find_smallest(each) if np.isfinite(X).all() else np.nan
+    measure = SmallestDistance(system, solids, np.array(couples, dtype=np.int64).reshape(-1, 2))
+    out = measure.compute_distances(q.reshape(math.prod(q.shape[:-1]), system.nq))
     return unwrap_scalar(out.reshape(q.shape[:-1]))
 
 

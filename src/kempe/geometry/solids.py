@@ -19,6 +19,7 @@ from kempe.description.packages import Folders
 from kempe.description.shapes import Mesh
 from kempe.errors import InputError, KempeError, MissingExtraError
 from kempe.forward.fk import fk
+from kempe.kernels.solids.solid_layout import BOX, OTHER, POINT, SEGMENT
 from kempe.model.configurations import sample_configurations
 from kempe.model.model import keep_answers
 from kempe.spatial import Array
@@ -41,10 +42,25 @@ MADE: dict[str, Callable[[Any, Any], Any]] = {
 }
 """By the kind of a shape: what coal makes of it. Meshes are read apart."""
 
+CORES: dict[str, Callable[[Any], Core]] = {
+    "sphere": lambda s: Core(POINT, (0.0, 0.0, 0.0), s.radius),
+    "capsule": lambda s: Core(SEGMENT, (0.5 * s.length, 0.0, 0.0), s.radius),
+    "box": lambda s: Core(BOX, tuple(0.5 * x for x in s.size), 0.0),
+}
+"""By the kind of a shape: its core, where distances have a closed form."""
+
+
+class Core(NamedTuple):
+    """What a ball makes a solid of: form and sizes as kernels read them, and the ball's radius."""
+
+    form: int
+    sizes: tuple[float, ...]
+    radius: float
+
 
 class Solid(NamedTuple):
-    """A shape as coal has it, its body, its place X (4, 4) in the body, and the centre in the body,
-    the radius and the half sizes (3,) of a sphere and a box about it.
+    """A shape as coal has it, its body, its place X (4, 4) in the body, the centre in the body,
+    the radius and the half sizes (3,) of a sphere and a box about it, and its core.
     """
 
     shape: Any
@@ -53,6 +69,7 @@ class Solid(NamedTuple):
     center: Array
     radius: float
     half: Array
+    core: Core
 
 
 class Gap(NamedTuple):
@@ -81,6 +98,7 @@ class Solids(NamedTuple):
     halves: Array
     """Centres (n, 3) in their bodies of spheres and boxes about the solids, radii (n,) of the spheres,
     and half sizes (n, 3) of the boxes, along the axes of the solids."""
+    cores: tuple[Core, ...]
     numbers: dict[str, list[int]]
     """For each body, the numbers of its solids."""
     pairs: tuple[tuple[str, str], ...]
@@ -122,6 +140,7 @@ def get_solids(system: Model) -> Solids:
         np.array([solid.center for solid in found]),
         np.array([solid.radius for solid in found]),
         np.array([solid.half for solid in found]),
+        tuple(solid.core for solid in found),
         {name: [k for k, solid in enumerate(found) if solid.body == name] for name in names},
         tuple(_list_pairs(mechanism, names)),
     )
@@ -151,7 +170,8 @@ def _make_solids(mechanism: Mechanism) -> list[Solid]:
         X = shape.X_BS.evaluate_pose(mechanism.parameters)
         center = X[:3, :3] @ np.ravel(made.aabb_center) + X[:3, 3]
         half = 0.5 * (np.ravel(made.aabb_local.max_) - np.ravel(made.aabb_local.min_))
-        out.append(Solid(made, name, X, center, float(made.aabb_radius), half))
+        core = CORES.get(geometry.kind, lambda _: Core(OTHER, (0.0, 0.0, 0.0), 0.0))(geometry)
+        out.append(Solid(made, name, X, center, float(made.aabb_radius), half, core))
     return out
 
 
@@ -229,17 +249,16 @@ class Placed:
                 points = (np.ravel(found.getNearestPoint1()), np.ravel(found.getNearestPoint2()))
         return best, points
 
-    def find_smallest(self, couples: np.ndarray) -> float:
-        """Find the smallest distance of pairs (k, 2) of solids: bounds by spheres and boxes say which
-        are measured.
+    def find_smallest(self, couples: np.ndarray, at_least: Array, best: float) -> float:
+        """Find the smallest distance of pairs (k, 2) of solids, less what they have to keep (k,), or
+        `best` where none is smaller: bounds by spheres and boxes say which are measured.
         """
         i, j = couples.T
-        bound = self._bound_distances(i, j)
-        best = np.inf
+        bound = self._bound_distances(i, j) - at_least
         for k in np.argsort(bound).tolist():
             if bound[k] >= best:
                 break
-            best = min(best, self.measure_solids(int(i[k]), int(j[k])))
+            best = min(best, self.measure_solids(int(i[k]), int(j[k])) - float(at_least[k]))
         return best
 
     def list_gaps(self, couples: np.ndarray, within: Array) -> list[Gap]:
