@@ -48,6 +48,7 @@ SECTIONS: dict[str, Callable[[Bench], Table | None]] = {
     "numeric_limits": numeric.limits,
     "numeric_warm": numeric.warm,
     "servo": servo.stream,
+    "distances": clearances.distances,
     "pushed": clearances.push,
     "obstacles": clearances.reach,
     "redundant": redundant.paths_and_sets,

@@ -1,11 +1,15 @@
-"""Two arms that keep apart: targets near obstacles, and hands that are pushed together."""
+"""Distances of an arm with spheres; two arms that keep apart: targets near obstacles, and hands
+that are pushed together.
+"""
 
 from __future__ import annotations
 
+import os
 import statistics
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +22,7 @@ from kempe.description.urdf_writer import write_urdf
 from kempe.spatial import Array
 from kempe_bench import peers
 from kempe_bench.bench import Bench
-from kempe_bench.timing import Grid, Row
+from kempe_bench.timing import Case, Grid, Row, Table, measure
 
 APART = 0.02
 """Metres that all bodies keep."""
@@ -37,6 +41,128 @@ REACHED = 1e-4
 """Error of the hands, in metres, that counts as reached."""
 SIDES = ("left", "right")
 HANDS = tuple(f"{side}_hand" for side in SIDES)
+
+
+BATCH = 100_000
+"""Configurations whose distances are measured in one call."""
+LOOP = 50
+"""Configurations that a loop in Python measures."""
+SPHERES = (4, 4, 4, 4, 4, 4, 3, 3)
+"""Spheres on each link of the Panda."""
+
+
+@contextmanager
+def use_one_processor() -> Iterator[None]:
+    """Keep this process on one processor, where the system can."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
+def make_spheres() -> kempe.Mechanism:
+    """A Panda with 30 spheres on its links."""
+    m = kempe.read("panda")
+    rng = np.random.default_rng(0)
+    for link, count in zip(list(m.bodies), SPHERES, strict=True):
+        for place in rng.uniform(-0.08, 0.08, (count, 3)):
+            m.shape(link, "sphere", radius=0.06, at=tuple(place))
+    return m
+
+
+def make_coal_loop(system: kempe.System) -> Callable[[Array], Array]:
+    """Return a function that measures configurations by coal, pair by pair, as one would write it."""
+    coal = peers.module("coal")
+    bodies = system.mechanism.bodies
+    names = [name for name in bodies if bodies[name].shapes]
+    of = {name: [(coal.Sphere(s.geometry.radius), s.X_BS.evaluate_pose({})[:3, 3])
+                 for s in bodies[name].shapes] for name in names}  # fmt: skip
+    pairs = [(a, b, x, y) for a, b in system.geometry.pairs for x in of[a] for y in of[b]]
+    request = coal.DistanceRequest()
+    result = coal.DistanceResult()
+
+    def place(X: Array, at: Array) -> Any:
+        return coal.Transform3s(X[:3, :3], X[:3, :3] @ at + X[:3, 3])
+
+    def measure_each(q: Array) -> Array:
+        out = np.empty(len(q))
+        for k, X in enumerate(system.fk(q, names)):
+            at = dict(zip(names, X, strict=True))
+            placed = {id(s): place(at[name], s[1]) for name in names for s in of[name]}
+            best = np.inf
+            for _, _, x, y in pairs:
+                result.clear()
+                d = coal.distance(x[0], placed[id(x)], y[0], placed[id(y)], request, result)
+                best = min(best, d)
+            out[k] = best
+        return out
+
+    return measure_each
+
+
+def make_pinocchio_loop(system: kempe.System, file: Path) -> Callable[[Array], Array]:
+    """Return one that measures them by Pinocchio, which calls coal for all pairs at once."""
+    pin = peers.module("pinocchio")
+    model = pin.buildModelFromUrdf(str(file))
+    solids = pin.buildGeomFromUrdf(model, str(file), pin.GeometryType.COLLISION)
+    of: dict[str, list[int]] = {}
+    for k, solid in enumerate(solids.geometryObjects):
+        of.setdefault(model.frames[solid.parentFrame].name, []).append(k)
+    for a, b in system.geometry.pairs:
+        for i in of[a]:
+            for j in of[b]:
+                solids.addCollisionPair(pin.CollisionPair(min(i, j), max(i, j)))
+    data = model.createData()
+    placed = pin.GeometryData(solids)
+    order = [system.coordinate_names.index(name) for name in list(model.names)[1:]]
+
+    def measure_each(q: Array) -> Array:
+        out = np.empty(len(q))
+        for k, x in enumerate(q[:, order]):
+            pair = pin.computeDistances(model, data, solids, placed, x)
+            out[k] = placed.distanceResults[pair].min_distance
+        return out
+
+    return measure_each
+
+
+def distances(bench: Bench) -> Table:
+    """The smallest distance of a Panda with 30 spheres on its links."""
+    table = Table("Smallest distance of a Panda with 30 spheres, 280 pairs, one core", "us")
+    with tempfile.TemporaryDirectory() as folder, use_one_processor():
+        mechanism = make_spheres()
+        file = Path(folder) / "spheres.urdf"
+        file.write_text(write_urdf(mechanism), encoding="utf-8")
+        system = mechanism.build()
+        q = system.random(0, BATCH)
+        names: dict[str, Any] = {"q": q, "few": q[:LOOP]}
+        batch = f"{BATCH:,} configurations in one call"
+        own = {**names, "of": system.geometry.clearance}
+        timed = [Case("Kempe", batch, "of(q)", own, BATCH)]
+        timed.append(Case("Kempe", "one configuration a call", "of(few[0])", own))
+        loops = {"coal": make_coal_loop(system)}
+        if "pin" in bench.versions:
+            loops["Pinocchio"] = make_pinocchio_loop(system, file)
+        how = {
+            "coal": f"by hand: Python loop over {LOOP}, and over their pairs",
+            "Pinocchio": f"computeDistances (coal): Python loop over {LOOP}",
+        }
+        timed += [
+            Case(who, how[who], "of(few)", {**names, "of": of}, LOOP) for who, of in loops.items()
+        ]
+        table.rows += measure(timed, 1e6)
+        known = system.geometry.clearance(names["few"])
+        apart = [float(np.abs(of(names["few"]) - known).max()) for of in loops.values()]
+    best = table.best("Kempe", batch)
+    table.at_most(f"{BATCH:,} configurations, at most 0.2 s", best and 1e-6 * BATCH * best, 0.2)
+    table.at_most("difference to coal, at most 1e-12 m", max(apart), 1e-12)
+    table.remarks.append("neighbours left out; a row counts the forward model as well")
+    return table
 
 
 def make_cell() -> kempe.Mechanism:

@@ -133,9 +133,13 @@ def test_sections_run(quick, monkeypatch, installed):
 
 def test_sections_of_clearances_run(monkeypatch):
     pytest.importorskip("coal")
+    monkeypatch.setattr(clearances, "BATCH", 100)
+    monkeypatch.setattr(clearances, "LOOP", 2)
     monkeypatch.setattr(clearances, "STEPS", 5)
     monkeypatch.setattr(clearances, "TARGETS", 2)
     monkeypatch.setattr(clearances, "PATIENCE", 2)
-    pushed, reached = benchmark.benchmark(["pushed", "obstacles"], ["mink", "pin-pink"])
+    sections = ["distances", "pushed", "obstacles"]
+    apart, pushed, reached = benchmark.benchmark(sections, ["pin", "mink", "pin-pink"])
+    assert apart.goals[-1].met, "coal measures other distances"
     assert pushed.value("Kempe", "cycles nearer") == 0.0
     assert reached.value("Kempe", "reached and clear") == 100.0

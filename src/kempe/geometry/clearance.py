@@ -17,7 +17,7 @@ from kempe.forward.fk import find_query, fk, jacobian
 from kempe.geometry.smallest_distance import SmallestDistance
 from kempe.geometry.solids import Gap, Placed, Solids, get_solids
 from kempe.model.configurations import read_q
-from kempe.model.model import store_answer
+from kempe.model.model import keep_answers, store_answer
 from kempe.report import Report, Table
 from kempe.spatial import Array
 from kempe.words import Quantity
@@ -87,12 +87,19 @@ class NearestBodies(Report):
 def compute_clearance(system: Model, q: Any, pairs: Pairs | None = None) -> Any:
     """Compute the smallest distance (...) between bodies; see `BodyGeometry.clearance`."""
     q = read_q(system, q)
-    solids = get_solids(system)
-    wanted = _read_pairs(system, solids, pairs)
-    couples = [couple for pair in wanted for couple in solids.list_couples(pair)]
-    measure = SmallestDistance(system, solids, np.array(couples, dtype=np.int64).reshape(-1, 2))
-    out = measure.compute_distances(q.reshape(math.prod(q.shape[:-1]), system.nq))
+    wanted = pairs if pairs is None else _read_pairs(system, get_solids(system), pairs)
+    flat = q.reshape(math.prod(q.shape[:-1]), system.nq)
+    out = _prepare_distance(system, wanted).compute_distances(flat)
     return unwrap_scalar(out.reshape(q.shape[:-1]))
+
+
+@keep_answers
+def _prepare_distance(system: Model, pairs: tuple[tuple[str, str], ...] | None) -> SmallestDistance:
+    """Prepare the smallest distance of these pairs, or of all that may touch."""
+    solids = get_solids(system)
+    wanted = solids.pairs if pairs is None else pairs
+    couples = [couple for pair in wanted for couple in solids.list_couples(pair)]
+    return SmallestDistance(system, solids, np.array(couples, dtype=np.int64).reshape(-1, 2))
 
 
 @explain_errors
