@@ -25,7 +25,15 @@ from kempe.inverse.closed_forms.plan import SEARCH
 from kempe.inverse.nearest import list_held_coordinates, make_aim
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.model.configurations import shorten_turns
-from kempe.numerics.curves import NONE, Curve, Node, find_next_nodes, join_ways, walk_curve
+from kempe.numerics.curves import (
+    NONE,
+    Curve,
+    Node,
+    find_next_nodes,
+    has_returned,
+    join_ways,
+    walk_curve,
+)
 from kempe.numerics.newton import GaussNewtonEnd, run_gauss_newton, run_many_gauss_newton
 from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
@@ -71,6 +79,11 @@ MOST_STEPS = 6000
 FAR = 50.0
 """The longest step along a curve (radians, lengths of the chain), steps at most, and how many
 lengths of the chain a slide is followed."""
+
+HOME = 0.02
+"""Distance from its start, in parts of a step, at which a curve has returned to it.
+
+It is known no better where the tolerance leaves a curve some width."""
 
 CLOSE = 0.3
 """Second singular value of a curve below which a crossing with another is looked for."""
@@ -336,7 +349,10 @@ class SolutionSet(Curve):
         """Trace nodes one way, with their end: "closed", "far", or "off" the target."""
         nodes = [first]
         for b in walk_curve(first, partial(find_next_nodes, self), LONGEST, REACH):
-            if len(nodes) > 3 and self._has_passed_node(nodes[-1], b, first):
+            a = nodes[-1]
+            there = replace(first, x=b.x + self.compute_short_difference(first.x, b.x))
+            near = HOME * float(np.linalg.norm(b.x - a.x))
+            if len(nodes) > 3 and has_returned(self, a, b, there, near):
                 return nodes, "closed"
             nodes.append(b)
             if np.abs(b.x - first.x)[self.aim.slide_mask].max(initial=0.0) > FAR:
@@ -344,17 +360,6 @@ class SolutionSet(Curve):
             if len(nodes) == MOST_STEPS:
                 break
         return nodes, "off"
-
-    def _has_passed_node(self, a: Node, b: Node, first: Node) -> bool:
-        """Return whether the step from a to b passes the first node."""
-        rest = self.compute_short_difference(first.x, a.x)
-        h = float((b.x - a.x) @ a.t)
-        along = float(rest @ a.t)
-        aside = float(np.linalg.norm(rest - along * a.t))
-        if not -0.01 * h < along <= 1.01 * h or a.t @ first.t < 0.8 or aside > 0.3 * h:
-            return False
-        there = self.minimise_error(a.x + along * a.t, a.t[None]).x
-        return bool(np.linalg.norm(self.compute_short_difference(first.x, there)) < 0.02 * h)
 
     def find_crossings(self, theta: Array, tangents: Array) -> Iterator[Array]:
         """Find points (n,) of a curve at which others may cross it.

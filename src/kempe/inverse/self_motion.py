@@ -32,7 +32,7 @@ from kempe.inverse.tasks.search import make_checked_answer, make_demands
 from kempe.kernels.base.search_layout import SOLVED
 from kempe.model.configurations import find_free_angles, read_q, shorten_turns
 from kempe.numerics.clock import BROKEN_OFF, TIME_LIMIT, TimeLimit, limit_preparation_time
-from kempe.numerics.curves import NONE, Node, walk_curve
+from kempe.numerics.curves import NONE, Curve, Node, has_returned, walk_curve
 from kempe.spatial import Array, ArrayLike
 from kempe.units import make_tolerance
 from kempe.words import format_count, join_words
@@ -46,10 +46,8 @@ TOLERANCE = 1e-10
 """Largest error of the tasks along the way, in metres and radians."""
 HOLDS = (1e-9, 1e-9)
 """Largest error of a task, in metres and radians, with which it is said to hold along the way."""
-HOMING = 8
-MET = 1e-6
-"""Steps by which a way is led to the configuration that it may have come back to, and the distance
-at which it has."""
+HOME = 1e-6
+"""Distance from its start at which a self-motion has returned to it."""
 ALIKE = 0.98
 """Cosine above which two directions are those of one curve."""
 AT_LIMIT = 1e-6
@@ -314,7 +312,7 @@ class _HalfCurve(NamedTuple):
     last: bool = False
 
 
-class _Direction:
+class _Direction(Curve):
     """Tracer of self-motions by steps along the tangent, each corrected."""
 
     def __init__(
@@ -366,15 +364,16 @@ class _Direction:
 
         def take_step(a: Node, h: float) -> list[Node] | None:
             self.time.check_time()
-            x = self._correct_configuration(self.local.move_point(a.x, h * a.t))
-            if x is None or self.local.compute_difference(a.x, x) @ a.t < 0.01 * h:
+            x = self._correct_configuration(self.move_point(a.x, h * a.t))
+            if x is None or self.compute_difference(a.x, x) @ a.t < 0.01 * h:
                 return None
             return [self._make_node(x, way if self.wished else a.t)]
 
         for b in walk_curve(
             a, take_step, self.step, self.step, least=SHORTEST * self.step, ideal=math.inf
         ):
-            if (out or given) and not self.wished and self._has_passed_goal(a, b, goal):
+            may_return = (out or given) and not self.wished
+            if may_return and has_returned(self, a, b, self._turn_goal(goal, b.x), HOME):
                 return _HalfCurve(out, True, "", a.t)
             out.append(b.x)
             self.done += 1
@@ -384,7 +383,7 @@ class _Direction:
                 return _HalfCurve(out, False, f"the limit of {names[0]!r}", a.t)
             if len(out) == steps:
                 return _HalfCurve(
-                    out, False, f"the last of {format_count(steps, 'step')}", a.t, True
+                    out, False, f"the last of {format_count(steps, 'step')}", b.t, True
                 )
             if b.sigma < LEAST_PART:
                 return nothing._replace(t=b.t)
@@ -392,6 +391,28 @@ class _Direction:
         return _HalfCurve(
             out, False, _describe_stop(self.problem, a.x, a.t, 10.0 * SHORTEST * self.step), a.t
         )
+
+    def evaluate_equations(self, x: Array) -> tuple[Array, Array]:
+        return self.local.evaluate_equations(x)
+
+    def compute_tolerance(self, x: Array) -> float:
+        return TOLERANCE
+
+    def move_point(self, x: Array, y: Array) -> Array:
+        return self.local.move_point(x, y)
+
+    def compute_difference(self, x: Array, other: Array) -> Array:
+        return self.local.compute_difference(x, other)
+
+    def make_node(self, x: Array, toward: Array, J: Array) -> Node:
+        return self._make_node(x, toward)
+
+    def _turn_goal(self, goal: tuple[Array, Array], x: Array) -> Node:
+        """Make the node of a goal with the whole turns of unlimited joints at x."""
+        layout = self.problem.system.structure.layout
+        v = layout.compute_difference(goal[0], x)
+        turns = v - shorten_turns(v.copy(), self.circle)
+        return Node(layout.integrate_velocity(goal[0], turns), goal[1], 1.0, 1, NONE, NONE)
 
     def _correct_configuration(self, x: Array) -> Array | None:
         """Find the configuration (nq,) nearest to x in which the tasks hold, or None."""
@@ -404,34 +425,6 @@ class _Direction:
         t = N @ (N.T @ toward)
         size = float(np.linalg.norm(t))
         return Node(x, t if size < LEAST_PART else t / size, size, N.shape[1], NONE, NONE)
-
-    def _has_passed_goal(self, a: Node, b: Node, goal: tuple[Array, Array]) -> bool:
-        """Whether the step from a to b passes the goal.
-
-        Steps from a that are as long as the goal is ahead, each led back, end there.
-        """
-        (there, along) = goal
-        t = a.t
-        home = self._compute_shortest_step(a.x, there)
-        ahead = float(home @ t)
-        reach = float(np.linalg.norm(self.local.compute_difference(a.x, b.x)))
-        if t @ along < 0.5 or not 0.0 <= ahead <= 1.2 * reach or np.linalg.norm(home) > 2.0 * reach:
-            return False
-        q: Array | None = a.x
-        for _ in range(HOMING):
-            q = self._correct_configuration(self.local.move_point(q, ahead * t))
-            if q is None:
-                return False
-            gap = self._compute_shortest_step(q, there)
-            if np.linalg.norm(gap) < MET:
-                return True
-            ahead = float(gap @ t)
-        return False
-
-    def _compute_shortest_step(self, a: Array, b: Array) -> Array:
-        """Compute the shortest step (nv,) from a to b; unlimited joints turn the short way."""
-        v = self.problem.system.structure.layout.compute_difference(a, b)
-        return shorten_turns(v, self.circle) / self.problem.packed.scale
 
 
 def _describe_stop(problem: Demands, q: Array, t: Array, ahead: float) -> str:

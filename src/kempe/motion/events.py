@@ -67,8 +67,6 @@ HOME = 1e-7
 direction."""
 HOME_CROSSING = 1e-4
 """The same where the start is a crossing: points beside it are known less well."""
-ARRIVED = 0.999
-"""Cosine between the directions of departure and arrival."""
 
 
 # ---- steps and special points
@@ -316,32 +314,22 @@ def find_return(equations: Closure, a: Node, b: Node, start: Node, periods: Arra
 
     `periods` (nv,) are 0 for coordinates that do not come back by turning on.
     """
+    layout = equations.system.structure.layout
     away = equations.compute_difference(b.x, start.x)
     shift = periods * np.round(_divide_by_periods(away * equations.unit, periods))
-    chord = equations.compute_difference(a.x, b.x)
-    # it is not beside the step: the common case, told without the rest
-    if np.linalg.norm(away - shift / equations.unit) > HOME_CROSSING + 3.0 * np.linalg.norm(chord):
+    there = start
+    if shift.any():
+        x = start.x.copy()
+        x[layout.vector_q] -= shift[layout.vector_v]
+        there = replace(start, x=x)
+    near = HOME if start.lines is None else HOME_CROSSING
+    if not curves.has_returned(equations, a, b, there, near):
         return None
-    there = equations.system.structure.layout.integrate_velocity(start.x, -shift)
     if isinstance(start, SingularNode):
-        moved = [equations.system.structure.layout.integrate_velocity(n.x, shift) for n in (a, b)]
+        moved = [layout.integrate_velocity(n.x, shift) for n in (a, b)]
         if not start.may_contain_points(equations, moved):
             return None
-    if np.linalg.norm(equations.compute_difference(b.x, there)) < (
-        HOME if start.lines is None else HOME_CROSSING
-    ):
-        return replace(start, x=there) if start.t @ b.t > ARRIVED else None
-    z = equations.compute_difference(a.x, there)
-    along = float(a.t @ z)
-    if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(z) > 2.0 * np.linalg.norm(chord):
-        return None
-    here = find_node_between(equations, a, b, along)
-    if here is None or start.t @ here.t < ARRIVED:
-        return None
-    gap = float(np.linalg.norm(equations.compute_difference(here.x, there)))
-    return (
-        replace(start, x=there) if gap < (HOME if start.lines is None else HOME_CROSSING) else None
-    )
+    return there
 
 
 def _divide_by_periods(x: Array, periods: Array) -> Array:

@@ -34,6 +34,8 @@ BLUNT = 1e-7
 """Relative singular values below which a correction is only rounding noise, blown up."""
 SAME_RANGE = 0.2
 """Least determinant between the ranges of the equations at two nodes that are compared."""
+ARRIVED = 0.999
+"""Cosine between the directions in which a curve leaves its start and returns to it."""
 TRIES = 12
 """Steps of a correction at most."""
 NONE = np.zeros((0, 0))
@@ -269,17 +271,40 @@ def find_node_between(
     One that is not `whole` may lack singular values and matrices, where these cost much.
     """
     guess = guess_point_between(equations, a, b, distance)
-    there = correct_point(equations, guess, a.t)
+    there = equations.correct_point(guess, a.t)
     if there is None:
         return None
     f = distance / float(a.t @ equations.compute_difference(a.x, b.x))
     along = (1.0 - f) * a.t + f * b.t
     if whole or len(there.r) <= LARGE:
-        return make_node(equations, there.x, along, there.J)
+        return equations.make_node(there.x, along, there.J)
     t = solve_least_squares(
         np.vstack([there.J, along]), np.append(np.zeros(len(there.r)), 1.0), BLUNT
     )
     return Node(there.x, t / np.linalg.norm(t), np.nan, 1, NONE, NONE)
+
+
+def has_returned(curve: Curve, a: Node, b: Node, start: Node, near: float) -> bool:
+    """Tell whether a curve returns to its start between two neighbours.
+
+    It does where it passes at a distance below `near`, in the direction in which it left. `start`
+    has the whole turns of `b`, where these lead back to the same place.
+    """
+    chord = curve.compute_difference(a.x, b.x)
+    length = float(np.linalg.norm(chord))
+    away = float(np.linalg.norm(curve.compute_difference(b.x, start.x)))
+    if away > near + 3.0 * length:  # the common case, told without the rest
+        return False
+    if away < near:
+        return bool(start.t @ b.t > ARRIVED)
+    home = curve.compute_difference(a.x, start.x)
+    along = float(a.t @ home)
+    if not 1e-9 < along <= float(a.t @ chord) or np.linalg.norm(home) > 2.0 * length:
+        return False
+    here = find_node_between(curve, a, b, along)
+    if here is None or start.t @ here.t < ARRIVED:
+        return False
+    return float(np.linalg.norm(curve.compute_difference(here.x, start.x))) < near
 
 
 def estimate_arc_length(equations: Curve, a: Node, b: Node) -> float:
