@@ -1184,7 +1184,11 @@ class BodyGeometry(Namespace):
 
     @explain_errors
     def check_path(
-        self, path: MotionLike, clearance: Constraint | Sequence[Constraint]
+        self,
+        path: MotionLike,
+        clearance: Constraint | Sequence[Constraint],
+        *,
+        budget: Budget | None = None,
     ) -> PathClearance:
         """Check whether bodies keep a distance along a path, between its configurations, too.
 
@@ -1195,12 +1199,15 @@ class BodyGeometry(Namespace):
             move straight. Rows that are not finite are left out, and the ways to them.
         clearance
             `Clearance`, or a list of them.
+        budget
+            Reads time_limit (600 s).
 
         Returns
         -------
         PathClearance
             True if the distances are kept; else the `encounter`, the first place where two bodies
-            come too near.
+            come too near. After the time limit it is false, and has the `count` of the first
+            configurations, which are clear, and the ways between them.
 
         Raises
         ------
@@ -1241,4 +1248,4 @@ class BodyGeometry(Namespace):
         """
         from kempe.geometry.path_clearance import check_path
 
-        return check_path(self.system, path, clearance)
+        return check_path(self.system, path, clearance, budget=budget)

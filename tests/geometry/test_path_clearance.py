@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 import kempe
-from kempe import Status
+from kempe import Budget, Status
 from kempe.constraints import Clearance
 from kempe.errors import InputError, UnknownNameError
+from kempe.geometry import path_clearance
+from kempe.numerics.clock import TimeLimit
 
 pytest.importorskip("coal")
 
@@ -143,6 +145,33 @@ def test_closed_loops_are_not_proven():
     assert answer and not answer.proven and "loops were not closed" in answer.status
 
 
+def end_time_after(monkeypatch, count: int) -> None:
+    """Let the time be up at the look at the clock number `count`, in the place of a long path."""
+    looks = iter(range(1, count))
+
+    def check_time(self: TimeLimit) -> None:
+        if next(looks, None) is None:
+            self.end = self.soon = 0.0
+            self._raise_time_up()
+
+    monkeypatch.setattr(TimeLimit, "check_time", check_time)
+
+
+def test_what_was_checked_before_the_time_was_up_is_clear(monkeypatch):
+    s = swing(kind="sphere", radius=0.1, at=(0, 1, 0))
+    q = np.linspace(0.0, 1.57, 300)[:, None]
+    whole = s.geometry.check_path(q, KEEP)
+    assert not whole.late and whole.encounter.piece > 128
+    end_time_after(monkeypatch, 2)
+    late = s.geometry.check_path(q, KEEP)
+    assert late.late and not late and not late.proven and late.code is Status.OUT_OF_TIME
+    assert late.count == 129 and late.encounter is None and "time limit" in late.status
+    monkeypatch.undo()
+    assert s.geometry.check_path(q[: late.count], KEEP).proven
+    none = s.geometry.check_path(q, KEEP, budget=Budget(time_limit=1e-9))
+    assert none.count == 0 and none.code is Status.OUT_OF_TIME
+
+
 def test_bad_input():
     s = swing(kind="sphere", radius=0.1, at=(0, 1, 0))
     with pytest.raises(InputError, match="must be a kempe.constraints.Clearance"):
@@ -196,3 +225,24 @@ def test_drive_stops_at_a_sample_that_is_too_near():
     t = [0.0, 0.4, 1.0, 1.4]
     motion = s.drive({"A": t}, t, clearance=Clearance("self", at_least=0.005))
     assert len(motion) == 2 and "'crank' and 'peg'" in motion.status
+
+
+def test_drive_keeps_the_samples_that_were_checked_before_the_time_was_up(monkeypatch):
+    s = crank_and_peg((0.3 * np.cos(2.0), 0.3 * np.sin(2.0)))
+    A = np.linspace(0.0, 3.0, 301)
+    keep = Clearance("self", at_least=0.005)
+    whole = s.drive({"A": A}, clearance=keep)
+    assert 129 < len(whole) < 300 and not whole.late
+    looks = []
+
+    def check(guard: path_clearance.PathGuard, q: np.ndarray, time: TimeLimit):
+        looks.append(len(q))
+        end_time_after(monkeypatch, 2)
+        return check_in_time(guard, q, time)
+
+    check_in_time = path_clearance.PathGuard.check_in_time
+    monkeypatch.setattr(path_clearance.PathGuard, "check_in_time", check)
+    late = s.drive({"A": A}, clearance=keep)
+    assert looks == [301] and late.late and not late.success
+    assert len(late) == len(late.times) == len(late.held) == 129
+    assert "time limit" in late.status

@@ -8,6 +8,7 @@ too long for that is halved.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,7 +17,7 @@ import numpy as np
 from kempe.answers import wording
 from kempe.arguments import explain_errors, explain_method_errors
 from kempe.arrays import is_sequence
-from kempe.budget import check_for_stop
+from kempe.budget import Budget, TimeUp, Usual, check_for_stop
 from kempe.constraints.clearances import Apart
 from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk
@@ -25,6 +26,7 @@ from kempe.geometry.solids import Placed
 from kempe.joints import P, Q, R
 from kempe.kernels.compiled import table_sweep
 from kempe.model.configurations import read_q
+from kempe.numerics.clock import LONG, TimeLimit, describe_early_end, find_time_limit, limit_time
 from kempe.report import Report
 from kempe.spatial import Array
 from kempe.status import Status
@@ -33,6 +35,7 @@ from kempe.words import format_count
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
+USUAL = Usual("check_path", time_limit=LONG)
 DEPTH = 12
 """How often the way between two configurations is halved before it counts as not decided."""
 PIECES = 64
@@ -83,26 +86,30 @@ class PathClearance(Report):
     system
         The system.
     count
-        Number of configurations of the path.
+        Number of configurations of the path; where it is `late`, of those that were checked.
     encounter
         The first place where they are not kept, or where this is not decided; None if they are
         kept. Its fields are `piece` (the number of the configuration before), `part` (the fraction
         of the way to the next), `pair`, `distance` and `at_least` in metres, and `decided`.
+    late
+        Whether the time limit ended the work before the end of the path.
     code
-        `SOLVED`, `TOO_NEAR` where bodies come too near, and `NOT_FOUND` where it is not decided.
+        `SOLVED`, `TOO_NEAR` where bodies come too near, `NOT_FOUND` where it is not decided, and
+        `OUT_OF_TIME`.
     """
 
-    _entries = ("system", "count", "proven")
+    _entries = ("system", "count", "proven", "late")
 
     system: Model
     count: int
     encounter: Encounter | None
+    late: bool = False
 
     @property
     def code(self) -> Any:
         """Outcome as a `Status`."""
         if self.encounter is None:
-            return Status.SOLVED
+            return Status.OUT_OF_TIME if self.late else Status.SOLVED
         return Status.TOO_NEAR if self.encounter.decided else Status.NOT_FOUND
 
     @property
@@ -114,15 +121,18 @@ class PathClearance(Report):
         """
         if self.encounter is not None:
             return self.encounter.decided
-        return not self.system.structure.closures
+        return not self.late and not self.system.structure.closures
 
     @property
     def status(self) -> str:
         """Whether the bodies keep apart, or where which two do not."""
         if self.encounter is None:
             straight = "between them, too" if self.count > 1 else "there"
-            loops = "" if self.proven else ", where loops were not closed"
-            return f"clear: {format_count(self.count, 'configuration')}, and {straight}{loops}"
+            loops = ", where loops were not closed" if self.system.structure.closures else ""
+            many = format_count(self.count, "configuration")
+            if self.late:
+                return f"clear as far as it was checked: {many}{describe_early_end(False, True)}"
+            return f"clear: {many}, and {straight}{loops}"
         if self.encounter.decided:
             return f"too near {self.encounter.place}: {self.encounter.describe_bodies()}"
         return f"not decided {self.encounter.place}: {self.encounter.describe_bodies()}"
@@ -145,13 +155,20 @@ def read_clearances(clearance: Any) -> list[Apart]:
 
 
 @explain_errors
-def check_path(system: Model, path: Any, clearance: Any) -> PathClearance:
+@limit_time(USUAL)
+def check_path(
+    system: Model, path: Any, clearance: Any, *, budget: Budget | None = None
+) -> PathClearance:
     """Check whether bodies keep clearances along a path; see `BodyGeometry.check_path`."""
     q = read_q(system, path if isinstance(path, np.ndarray) else getattr(path, "q", path))
     if q.ndim != 2:
         raise InputError(f"path has shape {q.shape}; it must be (n, {system.nq})")
     guard = PathGuard(system, watch_clearances(system, read_clearances(clearance)))
-    return PathClearance(system, len(q), guard.find_encounter(q))
+    time = find_time_limit(USUAL, budget)
+    time.release_reserved_time()  # there is nothing to do afterwards
+    checked, met = guard.check_in_time(q, time)
+    late = met is None and checked < len(q)
+    return PathClearance(system, checked if late else len(q), met, late)
 
 
 class PathGuard:
@@ -168,6 +185,27 @@ class PathGuard:
         The way is straight in the coordinates. Rows that are not finite are left out, and the ways
         to them.
         """
+        return next((met for _, met in self._check_pieces(q) if met is not None), None)
+
+    def check_in_time(self, q: Array, time: TimeLimit) -> tuple[int, Encounter | None]:
+        """Check configurations (n, nq) and the ways between them until the time is up.
+
+        Returned are the number of configurations that were checked, and the encounter.
+        """
+        checked = 0
+        met = None
+        try:
+            for checked, met in self._check_pieces(q):
+                if met is not None or checked == len(q):
+                    break
+                time.check_time()
+        except TimeUp:
+            if not time.spent:
+                raise  # that of a verb which called this one
+        return checked, met
+
+    def _check_pieces(self, q: Array) -> Iterator[tuple[int, Encounter | None]]:
+        """Yield how many configurations were checked, piece by piece, with the encounter there."""
         layout = self.system.structure.layout
         good = np.asarray(np.isfinite(q).all(axis=1))
         for first in range(0, max(len(q) - 1, 1), PIECES):
@@ -178,12 +216,12 @@ class PathGuard:
             ways = np.arange(first, last if near is None else first + near.piece)
             ways = ways[good[ways] & good[ways + 1]]
             v = layout.compute_difference(q[ways], q[ways + 1])
-            between = self._find_near_piece(q[ways], v) if len(ways) else None
-            if between is not None:
-                return between._replace(piece=int(ways[between.piece]))
-            if near is not None:
-                return near._replace(piece=first + near.piece)
-        return None
+            met = self._find_near_piece(q[ways], v) if len(ways) else None
+            if met is not None:
+                met = met._replace(piece=int(ways[met.piece]))
+            elif near is not None:
+                met = near._replace(piece=first + near.piece)
+            yield last + 1, met
 
     def find_near_configuration(self, q: Array) -> Encounter | None:
         """Find the first of some configurations (n, nq) that is too near."""

@@ -20,7 +20,6 @@ from kempe.answers.answer import Motion
 from kempe.answers.known_values import list_known_tasks
 from kempe.answers.tables import convert_columns, write_table
 from kempe.arguments import (
-    call_until_interrupt,
     explain_errors,
     explain_method_errors,
     raise_interrupted,
@@ -1065,20 +1064,31 @@ def drive(
     budget: Budget | None = None,
 ) -> Drive:
     """Compute the motion that follows prescribed inputs; see `System.drive`."""
-    if clearance is not None:
+    time = find_time_limit(USUAL, budget)
+    guard = None
+    if clearance is None:
+        time.release_reserved_time()  # there is nothing to do afterwards
+    else:
         guard = PathGuard(system, watch_clearances(system, read_clearances(clearance)))
-        found = call_until_interrupt(
-            drive,
-            system,
-            inputs,
-            times,
-            start,
-            hold=hold,
-            toward=toward,
-            limits=limits,
-            budget=budget,
-        )
-        return _stop_before_encounter(found, guard.find_encounter(found.q))
+    motion = _follow_inputs(system, inputs, times, start, hold, toward, limits, budget, time)
+    if guard is None:
+        return motion
+    time.release_reserved_time()
+    return _stop_before_encounter(motion, *guard.check_in_time(motion.q, time))
+
+
+def _follow_inputs(
+    system: Model,
+    inputs: Any,
+    times: Any,
+    start: Any,
+    hold: Any,
+    toward: Any,
+    limits: bool,
+    budget: Budget | None,
+    time: TimeLimit,
+) -> Drive:
+    """Compute the motion that follows prescribed inputs, whatever bodies it brings together."""
     if not isinstance(inputs, Mapping):
         raise InputError(
             f"inputs is {format_value(inputs)}; it must be a dict of values by coordinate name"
@@ -1087,7 +1097,21 @@ def drive(
     read_flag(limits, "limits")
     spend = USUAL.complete_budget(budget)
     if list_timed_constraints(system):
-        return _drive_system_with_time(system, inputs, times, start, hold, toward, limits, budget)
+        if TIME in inputs and TIME not in system.coordinate_names:
+            raise InputError(f"{TIME!r} is the time and no input; give it by `times`")
+        clock, _ = _read_samples({**inputs, TIME: 0.0}, times)
+        found = _follow_inputs(
+            add_time_coordinate(system),
+            {**inputs, TIME: clock},
+            clock,
+            _append_time(start, clock),
+            hold,
+            toward,
+            limits,
+            budget,
+            time,
+        )
+        return _remove_time(found, system)
     names = list(inputs)
     index = [find_angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
@@ -1099,8 +1123,6 @@ def drive(
     angles = {n for n, i in zip(names, index, strict=True) if turning[i]}
     clock, samples = _read_samples(inputs, times, angles)
     longest = read_longest_step(spend.step)
-    time = find_time_limit(USUAL, budget)
-    time.release_reserved_time()  # there is nothing to do afterwards
     if has_velocity_constraints(system):
         rolled = drive_rolling(system, names, dict(hold or {}), start, clock, samples, limits, time)
         return _make_rolling_drive(rolled, system, names, clock, samples)
@@ -1131,16 +1153,19 @@ def drive(
     return _drive_samples(context, q, names, clock, samples, spend.progress)
 
 
-def _stop_before_encounter(motion: Drive, met: Encounter | None) -> Drive:
-    """Return the samples before bodies come too near, which they do on the way `met` says."""
-    if met is None:
+def _stop_before_encounter(motion: Drive, checked: int, met: Encounter | None) -> Drive:
+    """Return the samples before bodies come too near, which they do on the way that `met` says.
+
+    Without `met`, the motion ends after the samples that were `checked` before the time was up.
+    """
+    n = checked if met is None else met.piece + int(met.part > 0.0)  # samples that are clear
+    if met is None and n == len(motion):
         return motion
-    n = met.piece + int(met.part > 0.0)  # samples that are clear
     last = max(n, 1)
-    if n == 0:
-        where = "it begins where"
-    else:
+    reason = ""
+    if met is not None:
         where = f"it stops after sample {n - 1} (time {motion.times[n - 1]:.6g}), before"
+        reason = f"{where if n else 'it begins where'} {met.describe_bodies()}"
     return replace(
         motion,
         q=motion.q[:last],
@@ -1151,37 +1176,10 @@ def _stop_before_encounter(motion: Drive, met: Encounter | None) -> Drive:
         jumps=tuple(jump for jump in motion.jumps if jump[0] < n),
         singular_points=tuple(event for event in motion.singular_points if event.s < n),
         success=False,
-        reason=f"{where} {met.describe_bodies()}",
+        reason=reason,
+        late=motion.late or met is None,
         _clock=None if motion._clock is None else motion._clock[:last],
     )
-
-
-def _drive_system_with_time(
-    system: Model,
-    inputs: Mapping[str, Any],
-    times: Any,
-    start: Any,
-    hold: Any,
-    toward: Any,
-    limits: bool,
-    budget: Budget | None,
-) -> Drive:
-    """Compute the motion where equations depend on time, with the time as a driven coordinate."""
-    if TIME in inputs and TIME not in system.coordinate_names:
-        raise InputError(f"{TIME!r} is the time and no input; give it by `times`")
-    clock, _ = _read_samples({**inputs, TIME: 0.0}, times)
-    found = call_until_interrupt(
-        drive,
-        add_time_coordinate(system),
-        {**inputs, TIME: clock},
-        clock,
-        _append_time(start, clock),
-        hold=hold,
-        toward=toward,
-        limits=limits,
-        budget=budget,
-    )
-    return _remove_time(found, system)
 
 
 def _append_time(start: Any, clock: Array) -> Any:
