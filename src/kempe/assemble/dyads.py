@@ -22,6 +22,7 @@ from kempe.arrays import read_reals
 from kempe.assemble.dyad_decomposition import Decomposition, Dyad, PartLine, build_parts
 from kempe.errors import InputError, UnknownNameError, UnsupportedError
 from kempe.forward.fk import fk
+from kempe.kernels import compiled
 from kempe.model.configurations import read_q, read_start, refuse_large_numbers
 from kempe.model.model import keep_answers, store_answer
 from kempe.numerics.pool import sum_over_chunks
@@ -401,8 +402,6 @@ class Plan(Report):
         Returns configurations (N, nq) and, of each, the opening, the number of undetermined parts
         and the margin (N, 3).
         """
-        from kempe.kernels.compiled import dyads_program as dyads
-
         ints = self.program[0]
         floats = np.atleast_2d(self.program[1])
         q = np.empty((len(values), self.system.nq))
@@ -417,7 +416,9 @@ class Plan(Report):
                 a if len(a) == 1 else a[part]
                 for a, part in ((floats, slice(i, j)), (signs, rows), (targets, rows))
             )
-            return dyads.run_program(ints, f, values[rows], s, t, q[rows], status[rows])
+            return compiled.dyads_program.run_program(
+                ints, f, values[rows], s, t, q[rows], status[rows]
+            )
 
         chunk = max(CHUNK // each, 1)
         sum_over_chunks(solve_chunk, len(values) // each, chunk, threads, SERIAL_BELOW // each)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from kempe.equations.closure_rows import pack_full_loops
+from kempe.kernels.compiled import closure_batch
 from kempe.model.configurations import read_q
 from kempe.model.model import keep_answers
 from kempe.model.packed_loops import PackedLoops, get_packed_loops
@@ -174,8 +175,6 @@ class OneSided:
         values = np.empty((len(flat), k))
         J = np.zeros((len(flat) if rates else 0, k, nv))
         if self.loops is not None:
-            from kempe.kernels.compiled import closure_batch
-
             loops = self.loops
             m = len(self.loops.names)
             out = np.empty((len(flat), m))

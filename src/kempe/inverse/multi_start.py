@@ -19,6 +19,7 @@ from kempe.inverse.chain.problem import (
     pack_row_flags,
 )
 from kempe.inverse.chain.serial_chain import Chain, move_inside_limits
+from kempe.kernels import compiled
 from kempe.kernels.base.search_layout import (
     ANSWER,
     DESCENTS,
@@ -174,11 +175,9 @@ def _search_from_nearest(
     threads: int | None,
 ) -> int:
     """Search from the configurations nearest to the targets, and count unreached rows."""
-    from kempe.kernels.compiled import fallback
-
     n = out.shape[1] - ANSWER
     length = compute_characteristic_length(problem.system)
-    nearest: Callable[..., int] = fallback.approach_goals
+    nearest: Callable[..., int] = compiled.fallback.approach_goals
     out[rows, n + LINEAR] = np.inf  # energies in another unit: descents begin there
 
     each = [0] if problem.share == 1 else range(1, min(problem.starts, DESCENTS) + 1)
@@ -318,9 +317,7 @@ def _measure_late_rows(
 def _choose_kernel(chain: Chain) -> Callable[..., int]:
     """Choose the kernel that searches for a chain."""
     if chain.ints[HAS_QUATERNION]:
-        from kempe.kernels.compiled import scalar_search
-
-        return scalar_search.reach_goals_singly
+        return compiled.scalar_search.reach_goals_singly
     return schedule.reach_goals
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from kempe.errors import UnsupportedError
 from kempe.first_order.constraint_graph import NO_SERIES, list_function_constraints
+from kempe.kernels import compiled
 from kempe.kernels.constraints.loop_layout import LINEAR
 from kempe.kernels.forward.table_layout import (
     KIND,
@@ -247,15 +248,13 @@ class Equations:
         self, q: Array, centers: Array, radius: Array | float, iterations: int
     ) -> Landing:
         """Project configurations in place by the kernel, with at most so many iterations."""
-        from kempe.kernels.compiled import projection
-
         self.time.check_time()
         centers = np.ascontiguousarray(np.broadcast_to(centers, q.shape), dtype=float)
         radii = np.array(np.broadcast_to(np.asarray(radius, dtype=float), len(q)))
         info = np.zeros((len(q), 3))
         value = np.zeros((len(q), self.m))
         J = np.zeros((len(q), self.m, self.nv))
-        projection.project_configurations(
+        compiled.projection.project_configurations(
             self.ints,
             self.floats,
             self.ties,
@@ -335,10 +334,8 @@ class Series:
 
         Orders first ... last are computed anew.
         """
-        from kempe.kernels.compiled import jet
-
         e = self.equations
-        jet.compute_jets(
+        compiled.jet.compute_jets(
             e.ints,
             e.floats,
             e.ties,

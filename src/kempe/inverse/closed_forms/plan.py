@@ -25,6 +25,7 @@ from kempe.inverse.closed_forms.chain_lines import (
     find_chain_lines,
 )
 from kempe.inverse.closed_forms.structure import Axes, Strategy, find_strategies, join_axes
+from kempe.kernels import compiled
 from kempe.kernels.closed_form import analytic_layout as A
 from kempe.kernels.closed_form.analytic_layout import X_FIRST, Z_FIRST
 from kempe.kernels.compiled import candidates
@@ -408,13 +409,12 @@ def _make_elimination_plan(
 ) -> ChainPlan | None:
     """Make the plan that solves six general lines by elimination; None where that fails."""
     from kempe.kernels.closed_form.analytic_layout import FORMULATIONS
-    from kempe.kernels.compiled import elimination_score
 
     theta = sample_variables(lines, np.random.default_rng(11), 1)[0]
     places = [*unknown, *range(len(lines), len(lines) + len(extra))]
     axes, _ = compute_carried_lines(lines, locked, extra, theta)
     scores = np.zeros(FORMULATIONS)
-    elimination_score.score_formulations(
+    compiled.elimination_score.score_formulations(
         axes.kinds[places].astype(np.int64), axes.pack_lines().reshape(-1, 8)[places], scores
     )
     best = [int(f) for f in np.argsort(-scores, kind="stable") if scores[f] > 0.0][:MOST_FORMS]

@@ -40,6 +40,7 @@ from kempe.inverse.tasks.demands import (
 from kempe.inverse.tasks.proofs import find_contradictory_problems, find_unreachable_problems
 from kempe.joints import P
 from kempe.kernels.base import search_layout as S
+from kempe.kernels.compiled import closure_batch
 from kempe.kernels.constraints import loop_layout as L
 from kempe.model.configurations import (
     compute_mid_configuration,
@@ -562,8 +563,6 @@ def compute_level_values(problem: Demands, q: Array, rows: np.ndarray) -> Array:
     A soft level counts its weighted square, a hard one the largest square by its tolerance where
     that is above 1.
     """
-    from kempe.kernels.compiled import closure_batch
-
     loops = problem.packed.loops
     m = len(problem.packed.rows)
     stages, strengths, *_ = problem.levels
