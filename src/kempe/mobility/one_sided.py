@@ -414,11 +414,11 @@ class OneSidedReport(Report):
 
 
 @explain_errors
-def report_one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED) -> OneSidedReport:
+def report_one_sided(system: Model, q: Any = None) -> OneSidedReport:
     """Find the state of one-sided constraints at a configuration, and the velocities they allow.
 
     `q` (nq,) or a dict by coordinate name (default: as for `mobility`) should close all loops.
-    Sides within `tolerance` of their bound, in radians and characteristic lengths, count as closed.
+    Sides within 1e-6 of their bound, in radians and characteristic lengths, count as closed.
     Limits of coordinates are among them. Errors: `InputError`.
     """
     from kempe.assemble.generic_configurations import find_closed_configuration
@@ -430,7 +430,7 @@ def report_one_sided(system: Model, q: Any = None, *, tolerance: float = CLOSED)
         )
     rows = pack_one_sided_rows(system)
     values, J = rows.compute_rates(at)
-    found, G = _list_sides(rows, values, J, tolerance)
+    found, G = _list_sides(rows, values, J)
     E, still = _compute_equality_rows(system, at)
     cone = compute_tangent_cone(E, G)
     cone = cone if still else replace(cone, exact=False)
@@ -455,9 +455,7 @@ def report_if_relevant(system: Model, q: Array) -> OneSidedReport | None:
     return report_one_sided(system, q)
 
 
-def _list_sides(
-    rows: OneSided, values: Array, J: Array, tolerance: float
-) -> tuple[list[Side], Array]:
+def _list_sides(rows: OneSided, values: Array, J: Array) -> tuple[list[Side], Array]:
     """List all sides, and the inward gradients (k, nv) of those that are closed."""
     out: list[Side] = []
     G: list[Any] = []
@@ -470,9 +468,9 @@ def _list_sides(
             slack = float(bound - values[k] if upper else values[k] - bound)
             state = (
                 "open"
-                if slack * scale > tolerance
+                if slack * scale > CLOSED
                 else "closed"
-                if slack * scale >= -tolerance
+                if slack * scale >= -CLOSED
                 else "violated"
             )
             both = ConeDirections(True, True)

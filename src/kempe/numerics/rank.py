@@ -188,13 +188,11 @@ class Spectrum:
         part = U[:, :r].T @ b
         return Vt[:r].T @ (part / (s[:r] if b.ndim == 1 else s[:r, None]))
 
-    def find_clear_rank(
-        self, least: float = Level.GENERIC, most: float = Level.ROUGH
-    ) -> tuple[int, float]:
+    def find_clear_rank(self) -> tuple[int, float]:
         """Find the rank at the widest gap between neighbouring singular values, and their ratio.
 
-        What is above `most` counts, what is below `least` does not; between the two the widest gap
-        decides. Singular values below `FLOOR` are equal.
+        What is above `Level.ROUGH` counts, what is below `Level.GENERIC` does not; between the two
+        the widest gap decides. Singular values below `FLOOR` are equal.
         """
         values = self.values
         if not len(values) or values[0] <= 0.0:
@@ -203,7 +201,9 @@ class Spectrum:
         above = np.append(1.0, s)  # above[r]: the last that counts if the rank is r
         first = 0 if np.any(self.size) else 1
         allowed = [
-            r for r in range(first, len(above)) if above[r] > least and (r == len(s) or s[r] < most)
+            r
+            for r in range(first, len(above))
+            if above[r] > Level.GENERIC and (r == len(s) or s[r] < Level.ROUGH)
         ]
         gaps = [above[r] / max(s[r], FLOOR) if r < len(s) else above[r] / FLOOR for r in allowed]
         best = int(np.argmax(gaps))

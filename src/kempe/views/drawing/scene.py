@@ -188,9 +188,9 @@ class Scene:
         )
 
 
-def remove_duplicates(points: Array, near: float = 1e-7) -> Array:
-    """Remove repeated points from (k, d); `near` is the tolerance relative to their extent."""
-    scale = near * max(float(np.ptp(points, axis=0).max()) if len(points) else 0.0, 1e-9)
+def remove_duplicates(points: Array) -> Array:
+    """Remove repeated points from (k, d); the tolerance is 1e-7 of their extent."""
+    scale = 1e-7 * max(float(np.ptp(points, axis=0).max()) if len(points) else 0.0, 1e-9)
     out: list[Array] = []
     for p in points:
         if all(np.linalg.norm(p - o) > scale for o in out):
