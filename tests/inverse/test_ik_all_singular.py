@@ -17,7 +17,7 @@ from linkages import planar_arm
 import kempe
 from kempe.errors import InputError
 from kempe.inverse.explain_all import explain_target
-from kempe.inverse.families import find_families
+from kempe.inverse.families import SolutionSet, find_families
 from kempe.inverse.nearest import find_nearest_configuration
 
 TURN = 2.0 * math.pi
@@ -158,6 +158,32 @@ def test_wrist_in_line():
     assert f.distance(q + [0, 0, 0, 0, 1e-3, 0]) == pytest.approx(1e-3, rel=1e-6)
     assert f.distance(q + [0, 0, 0, 0.1, 0, 0]) == pytest.approx(0.05, rel=1e-6)
     assert f.distance([q, q]).shape == (2,)
+
+
+def test_distances_from_a_bent_family_beside_dense_members(monkeypatch):
+    """A family of the Stanford arm is bent so much that whole steps towards a point lead beyond it
+    for ever.
+    """
+    arm = kempe.load("stanford")
+    X = arm.fk(np.array([0.0, 0.0, 0.0, -0.483, -0.397, -0.822]), "tool")
+    corrections = []
+    minimise = SolutionSet.minimise_error
+
+    def count(target: SolutionSet, *args):
+        corrections.append(1)
+        return minimise(target, *args)
+
+    monkeypatch.setattr(SolutionSet, "minimise_error", count)
+    families = arm.ik_all(X, "tool").families
+    assert [f.closed for f in families] == [True, True] and len(corrections) < 4000
+    turns = np.arange(6) != 2
+    for f in families:
+        members = f.sample(2000)
+        for q in np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6)) * np.where(turns, 3.0, 1.0):
+            away = q - members
+            away[:, turns] = np.mod(away[:, turns] + math.pi, TURN) - math.pi
+            nearest = away[np.argmin((away**2).sum(axis=1))]
+            assert f.distance(q) == pytest.approx(np.abs(nearest).max(), abs=3e-3)
 
 
 def test_members_of_a_family():

@@ -515,18 +515,25 @@ class Family(InWords):
         k = int(np.argmin((away**2).sum(axis=1)))
         x = self._theta[k]
         frame = self._tangents[k]
+        rest = target.compute_short_difference(theta, x)
+        part = 1.0  # of the way: the whole one may lead beyond, where the family is bent
         for _ in range(MOST_STEPS):
-            rest = target.compute_short_difference(theta, x)
+            far = float(np.linalg.norm(rest))
             way = (frame @ rest) @ frame
             size = float(np.linalg.norm(way))
-            if not size > max(1e-12, 1e-6 * float(np.linalg.norm(rest))):
+            if not size > max(1e-12, 1e-6 * far) or part < 1e-3:
                 break
-            end = target.correct_point(x + way * min(1.0, STRIDE / size), frame)
+            end = target.correct_point(x + way * min(part, STRIDE / size), frame)
             if end is None:
                 break
+            nearer = target.compute_short_difference(theta, end.x)
+            if not np.linalg.norm(nearer) < far:
+                part = 0.5 * min(part, STRIDE / size)
+                continue
             x = end.x
+            rest = nearer
             frame = target.compute_tangents(x, frame)
-        return target.compute_short_difference(theta, x)
+        return rest
 
     @cached_property
     def text(self) -> str:
