@@ -261,6 +261,18 @@ LONG = chain(40)
 TURNED = LONG.fk(LONG.mid, LONG.frame_names[-1]) @ np.diag([1.0, -1.0, -1.0, 1.0])
 NEVER = kempe.tasks.Function(lambda q: q[0] ** 2 + 1.0)
 TURN = LINKAGE.trace("A")
+KEEP = kempe.constraints.Clearance("self", at_least=0.01)
+
+
+def two_balls() -> kempe.System:
+    """A ball on a link that turns, and one that stands."""
+    m = kempe.Mechanism("balls")
+    m.revolute("A", m.ground, m.body("link"), axis="z")
+    m.shape("link", "sphere", radius=0.1, at=(1, 0, 0))
+    m.obstacle("post", "sphere", radius=0.1, at=(-1, 0, 0))
+    return m.build()
+
+
 TIMED = {
     "mobility": lambda b: FLAT.mobility(FLAT.q("flat"), budget=b),
     "classify": lambda b: CAR.classify(budget=b),
@@ -268,6 +280,10 @@ TIMED = {
     "manoeuvre": lambda b: CAR.manoeuvre([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], radius=1.0, budget=b),
     "drive of what rolls": lambda b: CAR.drive(
         {"drive.x": [0.0, 1e9], "drive.rz": [0.0, 1.0]}, start=[0.0, 0.0, 0.0], budget=b
+    ),
+    "check_path": lambda b: two_balls().geometry.check_path([[0.0], [1.0]], KEEP, budget=b),
+    "drive with a clearance": lambda b: two_balls().drive(
+        {"A": [0.0, 1.0]}, clearance=KEEP, budget=b
     ),
     "drive far": lambda b: LINKAGE.drive({"A": [0.3, 1e7]}, budget=b),
     "simulate": lambda b: CAR.simulate(1.0, inputs={"drive.x": 1.0, "drive.rz": 0.1}, budget=b),
@@ -442,6 +458,7 @@ def asked(verb: str) -> Any:
 
 
 ASK_MORE = {
+    "check_path",
     "idealise",
     "classify",
     "task_space",
