@@ -49,9 +49,9 @@ METHODS = {
 }
 FREE_NAMES = {"with_parameters"}
 """Methods whose keywords are names that the system has."""
-MORE = {"plot": 14, "workspace": 10, "ik_path": 11, "ik": 9, "ik_all": 9, "drive": 9}
+MORE = {"plot": 14, "workspace": 10, "ik_path": 11, "ik": 9, "ik_all": 9, "drive": 9, "trace": 9}
 """Methods with more arguments: what a picture shows (`PlotOptions`), what each kind needs, which
-of several paths is the answer, the steps of a search, which solutions are kept, what ends a drive."""
+of several paths is the answer, the steps of a search, which solutions are kept, what ends a motion."""
 
 
 @pytest.mark.parametrize("name", METHODS)

@@ -1731,6 +1731,7 @@ class System(Model, Pictured):
         toward: Mapping[str, float] | None = None,
         ways: str = "both",
         limits: bool = True,
+        clearance: Constraint | Sequence[Constraint] | None = None,
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Motion:
@@ -1754,6 +1755,11 @@ class System(Model, Pictured):
             at bifurcations (`Path.others`).
         limits
             End the path at joint limits.
+        clearance
+            `Clearance`, or a list of them: the path ends, either way, at the last point before
+            bodies come nearer, on the straight way of the coordinates to the next one, too, and
+            `ends` names them (default: none). Of the curves of closed loops between points this
+            proves nothing; `step` of the budget brings these together.
         tolerance
             Largest change of the joint placements, in metres and radians, with which the nearest
             mechanism that closes exactly is used; see `idealise`.
@@ -1765,8 +1771,9 @@ class System(Model, Pictured):
         -------
         Path
             Configurations in their order. The path ends where it closes on itself, at a limit,
-            where it is found to have no end (a slide that runs away, gears with a ratio that never
-            closes), or where the budget ends. `late` is true after the time limit.
+            before bodies come nearer than a clearance allows, where it is found to have no end (a
+            slide that runs away, gears with a ratio that never closes), or where the budget ends.
+            `late` is true after the time limit.
 
         Raises
         ------
@@ -1808,6 +1815,7 @@ class System(Model, Pictured):
             toward=toward,
             ways=ways,
             limits=limits,
+            clearance=clearance,
             tolerance=tolerance,
             budget=budget,
         )

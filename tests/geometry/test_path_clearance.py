@@ -246,3 +246,60 @@ def test_drive_keeps_the_samples_that_were_checked_before_the_time_was_up(monkey
     assert looks == [301] and late.late and not late.success
     assert len(late) == len(late.times) == len(late.held) == 129
     assert "time limit" in late.status
+
+
+def test_hunt_trace_ends_before_a_peg_both_ways(hunt):
+    """The crank turns around; it may turn on both sides up to where its ball is 5 mm from the peg."""
+    rng = hunt.rng()
+    keep = Clearance("self", at_least=0.005)
+    for _ in range(hunt.cases(40)):
+        peg, start = rng.uniform(-np.pi, np.pi, 2)
+        near = 2 * np.arcsin(0.5 * 0.035 / 0.3)
+        s = crank_and_peg((0.3 * np.cos(peg), 0.3 * np.sin(peg)))
+        free = s.trace("A", {"A": start})
+        assert free.closed
+        path = s.trace("A", {"A": start}, clearance=keep)
+        ahead = (peg - start) % (2 * np.pi)
+        if min(ahead, 2 * np.pi - ahead) < near:
+            assert len(path) == 1 and not path.success
+            assert path.status.startswith("'crank' and 'peg' overlap by ") or "apart" in path.status
+            assert "at the start" in path.status
+            continue
+        assert path.success and not path.closed
+        assert (s.geometry.clearance(path.q) >= 0.005).all()
+        A = path.q[:, 0]
+        assert (np.diff(A) > 0.0).all() and A[0] <= start <= A[-1]
+        low, high = start + ahead - 2 * np.pi + near, start + ahead - near
+        assert low <= A[0] < low + 0.1 and high - 0.1 < A[-1] <= high
+        assert all("before 'crank' and 'peg' " in end for end in path.ends)
+        forward = s.trace("A", {"A": start}, ways="forward", clearance=keep)
+        assert forward.ends[0] == "the start" and "'peg'" in forward.ends[1]
+        assert np.isclose(forward.q[0, 0], start) and high - 0.1 < forward.q[-1, 0] <= high
+
+
+def test_a_trace_that_stays_clear_is_the_one_without_a_clearance():
+    s = crank_and_peg((0.0, 2.0))
+    free = s.trace("A", {"A": 0.3})
+    path = s.trace("A", {"A": 0.3}, clearance=[Clearance("crank", "peg", at_least=0.1)])
+    assert path.closed and path.status == free.status
+    np.testing.assert_array_equal(path.q, free.q)
+
+
+def test_a_trace_between_two_obstacles_names_each_at_its_end():
+    s = crank_and_peg((0.3 * np.cos(1.0), 0.3 * np.sin(1.0)))
+    m = s.mechanism
+    m.obstacle("wall", "box", size=(0.02, 0.2, 1.0), at=(-0.32, 0, 0))
+    path = m.build().trace("A", {"A": 0.0}, clearance=Clearance())
+    assert "'crank' and 'wall'" in path.ends[0] and "'crank' and 'peg'" in path.ends[1]
+    assert "'wall'" in path.status and "'peg'" in path.status
+    other = m.build().trace("A", {"A": 0.0}, ways="branches", clearance=Clearance("crank", "wall"))
+    assert all("'wall'" in end for end in other.ends)
+
+
+def test_a_trace_out_of_time_is_as_far_as_it_was_checked():
+    s = crank_and_peg((0.3 * np.cos(1.0), 0.3 * np.sin(1.0)))
+    keep = Clearance("self", at_least=0.005)
+    path = s.trace("A", {"A": 0.0}, clearance=keep, budget=kempe.Budget(time_limit=1e-9))
+    assert path.late and not path.success
+    with pytest.raises(InputError, match="Clearance"):
+        s.trace("A", {"A": 0.0}, clearance=0.01)

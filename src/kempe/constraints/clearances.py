@@ -39,8 +39,9 @@ class Apart(Constraint):
     def list_rows(self, dim: int) -> NoReturn:
         """Refuse: a clearance has no equations. Errors: `UnsupportedError`."""
         raise UnsupportedError(
-            f"{self.label} is for ik and ik_step among their tasks, for ik_all and ik_path by "
-            "clearance=, not here: `system.geometry.clearance` measures the distance of any configuration"
+            f"{self.label} is for ik and ik_step among their tasks, for ik_all, ik_path, drive "
+            "and trace by clearance=, not here: `system.geometry.clearance` measures the distance of "
+            "any configuration"
         )
 
 

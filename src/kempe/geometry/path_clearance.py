@@ -22,6 +22,7 @@ from kempe.constraints.clearances import Apart
 from kempe.errors import InputError, format_value
 from kempe.forward.fk import fk
 from kempe.geometry.clearance import Watch, watch_clearances
+from kempe.geometry.smallest_distance import SmallestDistance
 from kempe.geometry.solids import Placed
 from kempe.joints import P, Q, R
 from kempe.kernels.compiled import table_sweep
@@ -57,6 +58,11 @@ class Encounter(NamedTuple):
     distance: float
     at_least: float
     decided: bool
+
+    @property
+    def clear(self) -> int:
+        """Number of configurations before that are clear."""
+        return self.piece + int(self.part > 0.0)
 
     @property
     def place(self) -> str:
@@ -178,6 +184,7 @@ class PathGuard:
         self.system = system
         self.watch = watch
         self._motions = MotionBounds(system, watch)
+        self._distance = SmallestDistance(system, watch.solids, watch.couples, watch.at_least)
 
     def find_encounter(self, q: Array) -> Encounter | None:
         """Find the first place on the way through configurations (n, nq) not proven to be clear.
@@ -225,9 +232,9 @@ class PathGuard:
 
     def find_near_configuration(self, q: Array) -> Encounter | None:
         """Find the first of some configurations (n, nq) that is too near."""
-        good = np.flatnonzero(np.isfinite(q).all(axis=1))
-        X = fk(self.system, q[good], self.watch.solids.names)
-        for k, poses in zip(good.tolist(), X, strict=True):
+        near = np.flatnonzero(self._distance.compute_distances(q, ROUNDING) < ROUNDING)
+        X = fk(self.system, q[near], self.watch.solids.names)
+        for k, poses in zip(near.tolist(), X, strict=True):
             worst = self.watch.find_worst(self.watch.list_gaps(poses, 0.0))
             if worst is not None:
                 return Encounter(k, 0.0, worst[:2], *worst[2:], True)

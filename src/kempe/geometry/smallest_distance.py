@@ -60,9 +60,11 @@ class SmallestDistance:
         )
         self._table = system.structure.table.pack_arrays(solids.names)
 
-    def compute_distances(self, q: Array) -> Array:
+    def compute_distances(self, q: Array, below: float = np.inf) -> Array:
         """Compute the smallest distances (n,) at q (n, nq): NaN where poses are not finite, infinite
         without pairs.
+
+        Only those less than `below` are exact; others may be anything from there on.
         """
         out = np.empty(len(q))
 
@@ -75,14 +77,16 @@ class SmallestDistance:
         sum_over_chunks(measure_chunk, len(q), CHUNK, None, SERIAL_BELOW)
         if len(self._others[0]):
             for start in range(0, len(q), CHUNK):
-                self._measure_others(q[start : start + CHUNK], out[start : start + CHUNK])
+                self._measure_others(q[start : start + CHUNK], out[start : start + CHUNK], below)
         return out
 
-    def _measure_others(self, q: Array, out: Array) -> None:
-        """Replace distances (n,) by those of pairs without a closed form that are smaller."""
+    def _measure_others(self, q: Array, out: Array, below: float) -> None:
+        """Replace distances (n,) by those of pairs without a closed form that are smaller, and less
+        than `below`.
+        """
         poses = fk(self._system, q, self._solids.names)
         for k, X in enumerate(poses):
             check_for_stop()
             if not np.isnan(out[k]):
                 placed = Placed(self._solids, X)
-                out[k] = placed.find_smallest(*self._others, float(out[k]))
+                out[k] = placed.find_smallest(*self._others, min(float(out[k]), below))

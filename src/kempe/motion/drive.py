@@ -1158,7 +1158,7 @@ def _stop_before_encounter(motion: Drive, checked: int, met: Encounter | None) -
 
     Without `met`, the motion ends after the samples that were `checked` before the time was up.
     """
-    n = checked if met is None else met.piece + int(met.part > 0.0)  # samples that are clear
+    n = checked if met is None else met.clear
     if met is None and n == len(motion):
         return motion
     last = max(n, 1)

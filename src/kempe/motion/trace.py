@@ -7,7 +7,7 @@ these, too.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,8 @@ from kempe.budget import Budget, TimeUp, Usual
 from kempe.equations.closure import Closure
 from kempe.equations.slip import find_first_slip
 from kempe.errors import InputError
+from kempe.geometry.clearance import watch_clearances
+from kempe.geometry.path_clearance import PathGuard, read_clearances
 from kempe.model.configurations import find_home, read_q
 from kempe.motion.crossings import SingularNode, is_rank_held
 from kempe.motion.events import (
@@ -63,6 +65,7 @@ from kempe.words import make_plural
 
 if TYPE_CHECKING:
     from kempe.argument_types import StartLike
+    from kempe.constraints.base import Constraint
     from kempe.model.model import Model
 
 
@@ -251,6 +254,7 @@ class _Options:
     progress: Progress | None
     periods: Array
     time: TimeLimit
+    guard: PathGuard | None = None
 
 
 def _make_unstarted_path(
@@ -294,11 +298,15 @@ def trace(
     toward: Mapping[str, float] | None = None,
     ways: str = "both",
     limits: bool = True,
+    clearance: Constraint | Sequence[Constraint] | None = None,
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Path:
     """Trace the branch of a mechanism with one degree of freedom; see `System.trace`."""
     options = _read_options(system, driver, ways, limits, USUAL.complete_budget(budget))
+    if clearance is not None:
+        guard = PathGuard(system, watch_clearances(system, read_clearances(clearance)))
+        options = replace(options, guard=guard)
     held = dict(hold or {})
     equations, q = begin_motion(system, start, held)
     if q is None:
@@ -310,6 +318,8 @@ def trace(
         )
     if said := OneSidedEnds(equations, limits).describe_violation(q):
         return _make_failed_path(equations, options, f"{said} at the start", q)
+    if options.guard and (met := options.guard.find_near_configuration(q[None])):
+        return _make_failed_path(equations, options, f"{met.describe_bodies()} at the start", q)
     equations.budget = options.time
     try:
         return refuse_slip(_follow_path(equations, q, options, toward))
@@ -410,7 +420,7 @@ def _read_options(
 
 def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
     """Trace the whole branch from its first node."""
-    nodes, reason, closed, broken = _walk_half_curve(equations, first, options, options.most)
+    nodes, reason, closed, broken = _walk_clear_curve(equations, first, options, options.most)
     ends = ("the start", reason)
     left = options.most - len(nodes)
     if (
@@ -421,12 +431,14 @@ def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
         and not reason.startswith(NO_RETURN)
     ):
         singular = isinstance(first, SingularNode)
-        back, other, _, broken = _walk_half_curve(
+        back, other, around, broken = _walk_clear_curve(
             equations,
             first.make_opposite_node() if singular else first.reverse_direction(),
             options,
             left,
         )
+        if around:  # its points lie elsewhere than those before bodies that are just too near
+            back, other = _leave_out(equations, back, nodes), reason
         nodes = (
             [n.reverse_direction() for n in reversed(back[1:])]
             + (first.list_arrival_nodes() if singular else [])
@@ -434,6 +446,34 @@ def _trace_branch(equations: Closure, first: Node, options: _Options) -> Path:
         )
         ends = (other, reason)
     return _make_path(equations, nodes, options, closed, ends, broken)
+
+
+def _walk_clear_curve(
+    equations: Closure, first: Node, options: _Options, most: int
+) -> tuple[list[Node], str, bool, BaseException | None]:
+    """Walk one way from the first node, as far as bodies keep their clearances.
+
+    Returned is what `_walk_half_curve` returns.
+    """
+    nodes, reason, closed, broken = _walk_half_curve(equations, first, options, most)
+    if options.guard is None:
+        return nodes, reason, closed, broken
+    q: Array = np.array([n.x for n in nodes])
+    checked, met = options.guard.check_in_time(q, options.time)
+    if met is not None:
+        said = f"the last point before {met.describe_bodies()}"
+        return nodes[: max(met.clear, 1)], said, False, broken
+    if checked < len(nodes):
+        late = TimeUp()
+        return nodes[:checked], options.time.describe_end_reason(late), False, late
+    return nodes, reason, closed, broken
+
+
+def _leave_out(equations: Closure, back: list[Node], nodes: list[Node]) -> list[Node]:
+    """Return what is left of a way back around a closed curve, without the way there."""
+    s = _compute_lengths(equations, back)
+    there = float(_compute_lengths(equations, nodes)[-1])
+    return back[: max(int(np.count_nonzero(s < s[-1] - there)), 1)]
 
 
 def _walk_half_curve(
