@@ -1618,6 +1618,7 @@ class System(Model, Pictured):
         *,
         local: bool = True,
         rng: np.random.Generator | int = 0,
+        clearance: Constraint | Sequence[Constraint] | None = None,
         tolerance: float | str | None = None,
         budget: Budget | None = None,
     ) -> Mobility:
@@ -1636,6 +1637,9 @@ class System(Model, Pictured):
             Determine the exact local number where the rank does not prove it. False is faster.
         rng
             Generator or seed for generic configurations.
+        clearance
+            `Clearance`, or a list of them: which bodies touch at the distance to be kept, and what
+            these contacts still let move, stands with the one-sided constraints (default: none).
         tolerance
             Largest change of the joint placements, in metres and radians, with which the nearest
             mechanism that closes exactly is used; see `idealise`.
@@ -1663,7 +1667,16 @@ class System(Model, Pictured):
         """
         from kempe.mobility.mobility import mobility
 
-        return mobility(self, q, actuated, local=local, rng=rng, tolerance=tolerance, budget=budget)
+        return mobility(
+            self,
+            q,
+            actuated,
+            local=local,
+            rng=rng,
+            clearance=clearance,
+            tolerance=tolerance,
+            budget=budget,
+        )
 
     @partial(explain_errors, fast=True)
     def classify(

@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import linprog
 
 import kempe
+from kempe.constraints import Clearance
 from kempe.equations.closure_rows import evaluate_constraints
 from kempe.mobility.one_sided import report_one_sided
 
@@ -339,3 +340,78 @@ def test_what_is_open_may_fall_and_rise():
     assert len(found.sides) == 12 and all(
         s.state == "open" and s.ways == (True, True) for s in found.sides
     )
+
+
+def ball_on_slides(*walls: tuple[float, float, float]) -> kempe.System:
+    """A ball of radius 0.1 that slides along x, y and z, and cubes of edge 0.2 at some places."""
+    m = kempe.Mechanism("ball")
+    last = m.ground
+    for axis in "xyz":
+        m.prismatic(f"s{axis}", last, m.body(axis), axis=axis)
+        last = axis
+    m.shape("z", "sphere", radius=0.1)
+    for k, at in enumerate(walls):
+        m.obstacle(f"cube {k}", "box", size=(0.2, 0.2, 0.2), at=at)
+    return m.build()
+
+
+def test_contacts_of_clearances_are_active_at_the_distance_to_be_kept():
+    pytest.importorskip("coal")
+    keep = Clearance("self", at_least=0.02)
+    s = ball_on_slides((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    one = s.mobility([0.78, 0.0, 0.0], clearance=keep)
+    assert one.dof == 3 and one.one_sided.active == ("distance of 'z' and 'cube 0'",)
+    assert one.one_sided.dimension == 3 and one.one_sided.lineality == 2
+    assert [str(x) for x in one.one_sided.coordinates.values()] == [
+        "can only shrink", "can grow and shrink", "can grow and shrink",
+    ]  # fmt: skip
+    assert "distance of 'z' and 'cube 0': closed; its value can only grow" in str(one)
+    two = report_one_sided(s, [0.78, 0.78, 0.0], clearance=[keep])
+    assert len(two.active) == 0 and "open by" in two.lines[0], "a corner is further away"
+    assert "one-sided" in str(s.mobility([0.0, 0.0, 0.0], clearance=keep))
+    far = report_one_sided(s, [0.0, 0.0, 0.5], clearance=keep)
+    assert far.active == () and far.lines == ["distance of 'z' and 'cube 2': open by 0.28 m"]
+    near = report_one_sided(s, [0.85, 0.0, 0.0], clearance=keep)
+    assert near.violated == ("distance of 'z' and 'cube 0'",)
+    assert near.status == "violated: distance of 'z' and 'cube 0' by 0.07 m"
+    assert s.mobility([0.78, 0.0, 0.0]).one_sided is None
+
+
+def test_bodies_that_are_clamped_between_contacts_move_along_them_only():
+    pytest.importorskip("coal")
+    s = ball_on_slides((0.22, 0.0, 0.0), (-0.22, 0.0, 0.0))
+    found = report_one_sided(s, [0.0, 0.0, 0.0], clearance=Clearance(at_least=0.02))
+    assert len(found.active) == 2 and found.dimension == found.lineality == 2
+    assert str(found.coordinates["sx"]) == "can neither grow nor shrink"
+    assert all("held by distance of 'z' and 'cube" in line for line in found.lines[:2])
+
+
+def test_hunt_a_step_that_a_closed_contact_allows_keeps_the_distance(hunt):
+    """Two arms of spheres that rest against one another: rays of the cone open the contact."""
+    pytest.importorskip("coal")
+    rng = hunt.rng()
+    compared = 0
+    for _ in range(hunt.cases(40)):
+        m = kempe.Mechanism("arms")
+        for side, x in (("a", -0.4), ("b", 0.4)):
+            last = m.ground
+            for k in range(3):
+                at = (0, 0, 0.4) if k else (x, 0, 0)
+                m.revolute(f"{side}{k}", last, m.body(f"{side}{k}"), at=at, axis="xyz"[k])
+                last = f"{side}{k}"
+            m.shape(last, "sphere", radius=0.1, at=(0.1, 0.05, 0.3))
+        s = m.build()
+        q = s.random(rng)
+        d = s.geometry.clearance(q)
+        found = report_one_sided(s, q, clearance=Clearance("a2", "b2", at_least=max(d, 0.0)))
+        if d < 0.0:
+            assert found.violated
+            continue
+        assert len(found.active) == 1 and found.dimension == 6 and found.lineality == 5
+        compared += 1
+        v = found.scale * found.cone.rays[0]
+        ahead, behind = (s.geometry.clearance(q + h * v) for h in (1e-6, -1e-6))
+        assert ahead > d > behind
+        for w in found.scale * found.cone.free:
+            assert abs(s.geometry.clearance(q + 1e-6 * w) - d) < 1e-10
+    assert compared > 5

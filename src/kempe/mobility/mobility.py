@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -36,7 +36,7 @@ from kempe.first_order.wrenches import Wrenches
 from kempe.mobility.answer import ClusterMobility, Mobility, format_dimensions
 from kempe.mobility.dof_proofs import has_full_rank
 from kempe.mobility.growth_vectors import compute_distribution
-from kempe.mobility.one_sided import report_if_relevant
+from kempe.mobility.one_sided import report_if_relevant, report_one_sided
 from kempe.model.ball_angles import make_regular_chart
 from kempe.model.configurations import find_home, has_loops, read_q
 from kempe.model.own_tree import remove_cut_marks
@@ -44,6 +44,7 @@ from kempe.numerics.clock import SHORT, TimeLimit, find_time_limit, limit_time
 from kempe.spatial import Array
 
 if TYPE_CHECKING:
+    from kempe.constraints.base import Constraint
     from kempe.mobility.local_dimension import Branch, LocalDimension
     from kempe.model.model import Model
 
@@ -74,6 +75,7 @@ def mobility(
     *,
     local: bool = True,
     rng: np.random.Generator | int = 0,
+    clearance: Constraint | Sequence[Constraint] | None = None,
     tolerance: float | str | None = None,
     budget: Budget | None = None,
 ) -> Mobility:
@@ -85,6 +87,9 @@ def mobility(
     find_driven_velocities(system, actuated)  # a wrong name is refused before any work
     given = None if q is None else _read_configuration(system, q)
     found = _analyze_system(system, shown, given, actuated, local, make_generator(rng), time)
+    if clearance is not None and found.closed:
+        sides = report_one_sided(shown, found.q, clearance=clearance)
+        found = replace(found, one_sided=sides)
     return replace(found, searched=given is None)
 
 

@@ -1,10 +1,11 @@
 """One-sided constraints at a configuration: active constraints, and velocities that they allow.
 
-Limits of coordinates are among them.
+Limits of coordinates are among them, and clearances that are asked about.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from math import comb
@@ -18,7 +19,9 @@ from kempe.equations.closure_rows import evaluate_constraints, pack_full_loops
 from kempe.equations.one_sided import CLOSED, OneSided, pack_one_sided_rows
 from kempe.equations.velocity import evaluate_velocity_rows, record_velocity_rows
 from kempe.errors import InputError
-from kempe.forward.fk import jacobian
+from kempe.forward.fk import fk, jacobian
+from kempe.geometry.clearance import compute_gap_gradients, watch_clearances
+from kempe.geometry.path_clearance import ROUNDING, read_clearances
 from kempe.model.configurations import read_q
 from kempe.numerics.rank import Level, Spectrum
 from kempe.report import Report
@@ -26,6 +29,8 @@ from kempe.spatial import Array
 from kempe.words import InWords, Quantity, Unit, format_count
 
 if TYPE_CHECKING:
+    from kempe.constraints.clearances import Apart
+    from kempe.geometry.solids import Gap
     from kempe.model.model import FrameLike, Model
 
 
@@ -44,6 +49,9 @@ a configuration that is 1e-14 from a singular one, where equations are quadratic
 there are 1e-7."""
 MOST = 3000
 """Sets of rows that are tried for extreme rays; where there are more the rays are not listed."""
+TOUCHING = 2e-5
+"""Slack of a clearance, as a part of the characteristic length, up to which it counts as closed:
+`ik` and `ik_step` leave half of it."""
 PRECISE = 1e-10
 """Tolerances of the linear programs."""
 
@@ -414,12 +422,13 @@ class OneSidedReport(Report):
 
 
 @explain_errors
-def report_one_sided(system: Model, q: Any = None) -> OneSidedReport:
+def report_one_sided(system: Model, q: Any = None, *, clearance: Any = None) -> OneSidedReport:
     """Find the state of one-sided constraints at a configuration, and the velocities they allow.
 
     `q` (nq,) or a dict by coordinate name (default: as for `mobility`) should close all loops.
     Sides within 1e-6 of their bound, in radians and characteristic lengths, count as closed.
-    Limits of coordinates are among them. Errors: `InputError`.
+    Limits of coordinates are among them, and a `clearance`, or a list of them: the pairs of shapes
+    that touch at the distance to be kept, or are nearer, else the nearest one. Errors: `InputError`.
     """
     from kempe.assemble.generic_configurations import find_closed_configuration
 
@@ -431,6 +440,10 @@ def report_one_sided(system: Model, q: Any = None) -> OneSidedReport:
     rows = pack_one_sided_rows(system)
     values, J = rows.compute_rates(at)
     found, G = _list_sides(rows, values, J)
+    if clearance is not None:
+        more, H = _list_clearance_sides(system, at, read_clearances(clearance))
+        found = [*more, *found]
+        G = np.concatenate([H, G])
     E, still = _compute_equality_rows(system, at)
     cone = compute_tangent_cone(E, G)
     cone = cone if still else replace(cone, exact=False)
@@ -490,6 +503,40 @@ def _list_sides(rows: OneSided, values: Array, J: Array) -> tuple[list[Side], Ar
             if state == "closed":
                 G.append(-J[k] if upper else J[k])
     return out, np.array(G).reshape(len(G), rows.system.nv)
+
+
+def _list_clearance_sides(
+    system: Model, q: Array, clearances: Sequence[Apart]
+) -> tuple[list[Side], Array]:
+    """List the sides of clearances: of each one, the pairs of shapes that are closed or violated,
+    or the nearest pair. Also return the inward gradients (k, nv) of those that are closed.
+    """
+    watch = watch_clearances(system, clearances)
+    loops = pack_full_loops(system, True)
+    gaps = watch.list_gaps(fk(system, q, watch.solids.names), np.inf)
+    gaps.sort(key=lambda gap: gap.distance - watch.at_least[gap.couple])
+    touching = TOUCHING * loops.length + ROUNDING
+    seen = set[int]()
+    out: list[Side] = []
+    closed: list[Gap] = []
+    for gap in gaps:
+        least = float(watch.at_least[gap.couple])
+        slack = gap.distance - least
+        deep = -CLOSED * loops.length - ROUNDING
+        state = "open" if slack > touching else "closed" if slack >= deep else "violated"
+        of = int(watch.of[gap.couple])
+        if state == "open" and of in seen:
+            continue
+        seen.add(of)
+        a, b = watch.name_bodies(gap.couple)
+        both = ConeDirections(True, True)
+        name = f"distance of {a!r} and {b!r}"
+        out.append(Side(name, gap.distance, least, "m", False, False, slack, state, both))
+        if state == "closed":
+            closed.append(gap)
+    if not closed:
+        return out, np.zeros((0, system.nv))
+    return out, compute_gap_gradients(system, watch, q, closed) * loops.scale / loops.length
 
 
 def _add_directions(side: Side, place: int, cone: Cone, inward: Array, names: list[str]) -> Side:
