@@ -7,6 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
+from command import Result
 
 import kempe
 from kempe import Budget, Status
@@ -303,3 +304,13 @@ def test_a_trace_out_of_time_is_as_far_as_it_was_checked():
     assert path.late and not path.success
     with pytest.raises(InputError, match="Clearance"):
         s.trace("A", {"A": 0.0}, clearance=0.01)
+
+
+def test_the_command_traces_what_the_library_traces(tmp_path):
+    s = crank_and_peg((0.3 * np.cos(1.0), 0.3 * np.sin(1.0)))
+    file = s.mechanism.save(tmp_path / "four_bar.toml")
+    call = ("trace", file, "--driver", "A", "--start", "A=0")
+    kept = Result(*call, "--clearance", "0.005")
+    path = s.trace("A", {"A": 0.0}, clearance=Clearance(at_least=0.005))
+    assert kept.code == 0 and f"through {len(path)} points" in " ".join(kept.out.split())
+    assert kept.out.count("'peg'") == 2 and "'peg'" not in Result(*call).out

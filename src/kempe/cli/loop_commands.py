@@ -243,12 +243,14 @@ def run_trace(
         make_option("--points", "Write this many points, at equal distances of arc length.", "N"),
     ] = None,
     no_limits: options.NoLimits = False,
+    clearance: options.Clearance = None,
     tolerance: options.Dimensions = None,
 ) -> None:
     """Follow a mechanism with one freedom through its whole motion.
 
-    Files get arc length, all coordinates, and x, y (and z) of the frames. Ctrl-C ends
-    the work with the part that was done, as a time limit does (120 s, unless another is given).
+    With --clearance it ends before bodies come nearer. Files get arc length, all
+    coordinates, and x, y (and z) of the frames. Ctrl-C ends the work with the part that was
+    done, as a time limit does (120 s, unless another is given).
 
     Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png --gif foot.gif
     """
@@ -269,6 +271,7 @@ def run_trace(
         begin,
         hold=held,
         limits=not no_limits,
+        clearance=arguments.make_clearance(clearance),
         ways="branches" if branches else "both",
         budget=budget,
     )
