@@ -803,6 +803,68 @@ def test_branches_that_touch_to_the_fourth_order_are_followed_apart():
     assert elsewhere.closed and elsewhere.length == pytest.approx(path.length, abs=1e-3)
 
 
+# ---- points at which very many branches meet
+
+
+def scissor_lift(stages):
+    """Crossed bars of length 1, joined at their middles and ends; the foot slides on the ground."""
+    m = Mechanism("scissor lift", dim=2)
+    for k in range(stages):
+        m.body(f"a{k}")
+        m.body(f"b{k}")
+    m.body("foot")
+    m.revolute("base", "ground", "a0")
+    m.prismatic("rail", "ground", "foot", axis=(1, 0))
+    m.revolute("hinge", "foot", "b0")
+    for k in range(stages):
+        m.revolute(f"middle{k}", f"a{k}", f"b{k}", at=(0.5, 0), child_at=(0.5, 0))
+        if k + 1 < stages:
+            m.revolute(f"right{k}", f"a{k}", f"b{k + 1}", at=(1, 0))
+            m.revolute(f"left{k}", f"b{k}", f"a{k + 1}", at=(1, 0))
+    return m.build()
+
+
+def test_a_scissor_lift_passes_straight_through_its_flat_states():
+    """All bars of one side stay parallel, where half of 2^stages branches meet and where the lift is
+    a line, in which each stage can turn.
+    """
+    stages = 7
+    system = scissor_lift(stages)
+    start = {"base": 0.6} | {f"middle{k}": np.pi - 1.2 for k in range(stages)}
+    q = system.assemble({"rail": 0.8}, start=start).q
+    path = system.trace(start=q)
+    assert path.closed
+    sides = [system.fk(path.q, f"{side}{k}")[:, :2, 0] for side in "ab" for k in range(stages)]
+    for k in range(stages):
+        np.testing.assert_allclose(sides[k], sides[0], atol=1e-9)
+        np.testing.assert_allclose(sides[stages + k], sides[0] * (-1.0, 1.0), atol=1e-9)
+    np.testing.assert_allclose(path.q[:, 1], sides[0][:, 0], atol=1e-9)
+    flat = [e for e in path.singular_points if abs(abs(e.q[1]) - 1.0) < 1e-6]
+    assert [len(e.directions) for e in flat] == [2 ** (stages - 1)] * 2
+    assert all(e.complete and e.nullity == stages for e in flat)
+
+
+def test_of_very_many_branches_some_are_found_and_that_is_said():
+    """A flat row of n parallelograms has 2^n branches."""
+    m = Mechanism("row", dim=2)
+    for i in range(9):
+        m.body(f"crank{i}")
+        m.revolute(f"A{i}", "ground", f"crank{i}", at=(i, 0))
+    for i in range(8):
+        m.body(f"coupler{i}")
+        m.revolute(f"B{i}", f"crank{i}", f"coupler{i}", at=(0, 0.5))
+        m.revolute(f"C{i}", f"coupler{i}", f"crank{i + 1}", at=(1, 0), child_at=(0, 0.5))
+    system = m.build()
+    path = system.trace(start=system.assemble({"A0": 0.2}).q)
+    assert path.closed
+    event = path.singular_points[0]
+    assert len(event.directions) == crossings.MOST_LINES and not event.complete
+    assert f"{crossings.MOST_LINES} branches or more" in str(path)
+    along = event.directions[0]
+    cranks = [along[i] for i, n in enumerate(system.structure.velocity_names) if n[0] == "A"]
+    assert np.ptp(cranks) < 1e-9 < abs(cranks[0])  # straight on: all cranks stay parallel
+
+
 # ---- directions of branches from second order
 
 
@@ -823,8 +885,8 @@ def test_all_lines_along_which_forms_vanish_are_found(d, hunt):
     rng = hunt.rng()
     for _ in range(hunt.cases(5)):
         F, lines = vanish_along(rng, d, d, d + 2)
-        found = crossings._solve_many_forms(F / np.abs(F).max(), TimeLimit(None))
-        assert found.shape == (d, d)
+        found, complete = crossings._solve_many_forms(F / np.abs(F).max(), TimeLimit(None))
+        assert found.shape == (d, d) and complete
         np.testing.assert_allclose(np.abs(found @ lines.T).max(axis=0), 1.0, atol=1e-9)
 
 

@@ -275,7 +275,7 @@ def test_what_needs_masses_is_refused_with_the_reason(system, reason):
         ({"velocity": {"at.x": "fast"}}, "'fast'"),
         ({"start": [0, 0]}, "2 coordinates"),
         ({"inputs": {"at.x": 1}, "velocity": {"at.y": 1}}, "velocity is for what falls"),
-        ({"inputs": 3}, "inputs is int"),
+        ({"inputs": 3}, "inputs is 3"),
     ],
 )
 def test_bad_input_is_named(options, error):

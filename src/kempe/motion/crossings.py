@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,14 +58,20 @@ interval."""
 STARTS = 32
 MOST_STARTS = 512
 LOOKS = 3
-"""Starts on a sphere in the null space, times 2 to the power of its dimension, most of them, and
-repetitions."""
+MOST_SEARCHED = 6
+"""Starts on a sphere in the null space, times 2 to the power of its dimension, most of them,
+repetitions, and the dimension above which these are too few."""
 VALLEY = 32
 CLUSTER = 0.4
 """Places along a valley, and the part of its length within which roots belong to the point at its
 center."""
 MOST_NUMBERS = 10**7
 """Most numbers of the Jacobians of one such batch."""
+LINE_STARTS = 40
+MOST_DOUBLINGS = 8
+MOST_LINES = 128
+"""Starts for lines along which forms vanish, times 2 to the power of their dimension or of this one,
+and the lines after which the search ends: a flat row of n parallelograms has 2^n branches."""
 DEGREE = 8
 """Degree of the polynomials that describe both halves of a branch."""
 UNLIKE = 1e-3
@@ -173,20 +179,27 @@ def _compute_nullity(equations: Closure, x: Array) -> int:
     return equations.n - Spectrum(equations.compute_jacobian(x), LEAST).compute_rank(Level.CLOSED)
 
 
-def compute_tangent_cone(equations: Closure, x: Array) -> tuple[Array, bool]:
-    """Compute the unit vectors (k, n) of the tangent cone at `x`, of either sign.
+class TangentCone(NamedTuple):
+    """Unit vectors `lines` (k, n), of either sign: along these directions of the null space the
+    equations hold to second order.
 
-    Along these directions of the null space the equations hold to second order.
-
-    And whether some are double, or second order does not tell any: then they need not be tangents
-    of branches.
+    `degenerate` says whether some are double, or second order does not tell any: then they need not
+    be tangents of branches. Where it is not `complete` the search ended early.
     """
+
+    lines: Array
+    degenerate: bool
+    complete: bool = True
+
+
+def compute_tangent_cone(equations: Closure, x: Array, toward: Array | None = None) -> TangentCone:
+    """Compute the tangent cone at `x`; the search begins at the direction `toward` (n,)."""
     spectrum = Spectrum(equations.compute_jacobian(x), LEAST)
     n = equations.n
     null_space = spectrum.compute_null_space(Level.CLOSED)
     d = null_space.shape[1]
     if d <= 1:
-        return null_space.T, False
+        return TangentCone(null_space.T, False)
     left = spectrum.left[:, n - d :]
     forms = np.einsum(
         "nd,nke->kde", null_space, differentiate_jacobian(equations, x, left, null_space)
@@ -194,12 +207,17 @@ def compute_tangent_cone(equations: Closure, x: Array) -> tuple[Array, bool]:
     forms = 0.5 * (forms + forms.transpose(0, 2, 1))
     size = np.abs(forms).max()
     if size < NO_FORM:
-        return np.zeros((0, n)), True
+        return TangentCone(np.zeros((0, n)), True)
     forms = forms / size
-    found = _solve_two_forms(forms) if d == 2 else _solve_many_forms(forms, equations.budget)
+    complete = True
+    if d == 2:
+        found = _solve_two_forms(forms)
+    else:
+        first = None if toward is None else null_space.T @ toward
+        found, complete = _solve_many_forms(forms, equations.budget, first)
     # rank d - 1 where a zero is simple
     least = [Spectrum(forms @ u).values[d - 2] for u in found]
-    return found @ null_space.T, min(least, default=1.0) < DOUBLE
+    return TangentCone(found @ null_space.T, min(least, default=1.0) < DOUBLE, complete)
 
 
 def _solve_two_forms(forms: Array) -> Array:
@@ -217,14 +235,18 @@ def _solve_two_forms(forms: Array) -> Array:
     return lines[np.abs(other).max(axis=1) < 1e-6]
 
 
-def _solve_many_forms(forms: Array, budget: TimeLimit) -> Array:
-    """Find the common real zeros (k, d) of quadratic forms (m, d, d).
+def _solve_many_forms(
+    forms: Array, budget: TimeLimit, start: Array | None = None
+) -> tuple[Array, bool]:
+    """Find the common real zeros (k, d) of quadratic forms (m, d, d), and whether it seems that none
+    is missing.
 
-    Newton's method is used from many starts on the sphere.
+    Newton's method is used from `start` (d,), and from many starts on the sphere.
     """
     d: int = forms.shape[1]
     rng = np.random.default_rng(0)
     found = np.zeros((0, d))
+    often = np.zeros(0, dtype=np.int64)
 
     def evaluate_forms(u: Array, _: np.ndarray) -> tuple[Array, Array]:
         """Return the values of the forms at unit vectors, and their derivatives."""
@@ -237,10 +259,13 @@ def _solve_many_forms(forms: Array, budget: TimeLimit) -> Array:
         """Return unit vectors moved by steps."""
         return (u + y) / np.linalg.norm(u + y, axis=1, keepdims=True)
 
-    starts = 40 * 2**d
-    for first in range(0, starts, MOST_STARTS):
+    starts = LINE_STARTS * 2 ** min(d, MOST_DOUBLINGS)
+    batch = max(1, min(MOST_STARTS, MOST_NUMBERS // forms.size))
+    for first in range(0, starts, batch):
         budget.check_time()
-        u = rng.normal(size=(min(MOST_STARTS, starts - first), d))
+        u = rng.normal(size=(min(batch, starts - first), d))
+        if not first and start is not None and start.any():
+            u[0] = start
         u = run_many_gauss_newton(
             evaluate_forms,
             u / np.linalg.norm(u, axis=1, keepdims=True),
@@ -251,31 +276,56 @@ def _solve_many_forms(forms: Array, budget: TimeLimit) -> Array:
         )
         left, _ = evaluate_forms(u, np.arange(len(u)))
         u = u[np.abs(left).max(axis=1) < 1e-9]
-        for v in found:
-            u = u[np.abs(np.abs(u @ v) - 1.0) > SAME_LINE]
         while len(u):
+            same = np.abs(np.abs(u @ found.T) - 1.0) <= SAME_LINE
+            often += same.sum(axis=0)
+            u = u[~same.any(axis=1)]
+            if not len(u):
+                break
+            if len(found) == MOST_LINES:
+                return found, False
             found = np.concatenate([found, u[:1]])
-            u = u[np.abs(np.abs(u @ u[0]) - 1.0) > SAME_LINE]
-    return found
+            often = np.append(often, 0)
+    # where each is found more than once, few are missing (Good, *Biometrika* 40, 1953)
+    return found, d <= MOST_DOUBLINGS and bool((often > 1).all())
 
 
-def find_branch_lines(equations: Closure, x: Array) -> Array:
-    """Find the directions (k, n) of the branches through a singular point."""
-    return _select_walkable_directions(equations, x, compute_tangent_cone(equations, x)[0])
+class Branches(NamedTuple):
+    """Directions `lines` (k, n) of the branches through a singular point; not all of them where
+    they are not `complete`.
 
-
-def find_branches(equations: Closure, x: Array) -> tuple[Array, Germ | None]:
-    """Find the directions (k, n) of the branches through a singular point.
-
-    Where second order does not tell them, the germ of the curve is returned, too.
+    Where second order does not tell them there is the `germ` of the curve.
     """
-    directions, degenerate = compute_tangent_cone(equations, x)
-    germ = find_germ(equations, x) if degenerate else None
-    return (
-        (_select_walkable_directions(equations, x, directions), None)
-        if germ is None
-        else (germ.lines, germ)
-    )
+
+    lines: Array
+    germ: Germ | None = None
+    complete: bool = True
+
+
+def find_branch_lines(equations: Closure, x: Array, toward: Array | None = None) -> Branches:
+    """Find the branches through a singular point by second order; the search begins at the
+    direction `toward` (n,).
+    """
+    cone = compute_tangent_cone(equations, x, toward)
+    lines = _select_walkable_directions(equations, x, cone.lines)
+    return Branches(lines, complete=cone.complete)
+
+
+def find_touching_branches(equations: Closure, x: Array) -> Germ | None:
+    """Find the germ of the curve at a singular point, where second order does not tell its
+    branches.
+    """
+    return find_germ(equations, x) if compute_tangent_cone(equations, x).degenerate else None
+
+
+def find_branches(equations: Closure, x: Array, toward: Array | None = None) -> Branches:
+    """Find the branches through a singular point; the search begins at the direction `toward` (n,)."""
+    cone = compute_tangent_cone(equations, x, toward)
+    germ = find_germ(equations, x) if cone.degenerate else None
+    if germ is not None:
+        return Branches(germ.lines, germ)
+    lines = _select_walkable_directions(equations, x, cone.lines)
+    return Branches(lines, complete=cone.complete)
 
 
 def _select_walkable_directions(equations: Closure, x: Array, directions: Array) -> Array:
@@ -308,7 +358,7 @@ def make_singular_node(
     Where several branches have that direction it is the one of the point `came` (nq,), which is
     before the other.
     """
-    lines, germ = find_branches(equations, x)
+    lines, germ, complete = find_branches(equations, x, toward)
     if germ is not None:
         before = None if came is None else germ.find_half_branch(equations, [came])
         half = int(np.argmax(germ.tangents @ toward)) if before is None else germ.partner[before]
@@ -325,7 +375,7 @@ def make_singular_node(
         return None
     at = make_node(equations, x)
     t = lines[best] * np.sign(cosines[best])
-    return Node(x, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
+    return Node(x, t, at.sigma, max(at.nullity, 2), at.matrix, at.image, lines, complete)
 
 
 def find_passage(
@@ -542,7 +592,7 @@ def find_germ(equations: Closure, x: Array, nullity: int = 0) -> Germ | None:
     `x` leave.
     """
     nullity = nullity or _compute_nullity(equations, x)
-    if isinstance(equations, DrivenClosure) or nullity < 2:
+    if isinstance(equations, DrivenClosure) or not 2 <= nullity <= MOST_SEARCHED:
         return None
     sphere = _Sphere.make_sphere(equations, x, nullity)
     for radius in RADII:

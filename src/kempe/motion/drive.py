@@ -266,7 +266,14 @@ class SegmentContext:
             kind = "bifurcation" if len(n.lines) > 1 else "singular"
             lines = n.lines[:, :-1] * self.closure.unit
             self.singular.append(
-                Event(n.x[:-1], float(k), kind, nullity=n.nullity, directions=lines)
+                Event(
+                    n.x[:-1],
+                    float(k),
+                    kind,
+                    nullity=n.nullity,
+                    directions=lines,
+                    complete=n.complete,
+                )
             )
 
     def _find_segment_end(
@@ -330,7 +337,11 @@ class SegmentContext:
                 "moved independently; drive fewer of them"
             )
         polished = locate_singular_point(way, x, here.nullity, 1e-5)
-        lines = find_branch_lines(way, x if polished is None else polished)
+        toward = None
+        if state.velocity is not None:
+            toward = np.append(state.velocity, 0.0)
+        at = x if polished is None else polished
+        lines, _, complete = find_branch_lines(way, at, toward)
         lines = lines[np.abs(lines[:, -1]) > FORWARD]
         if not len(lines):
             J = self.closure.compute_jacobian(state.q)
@@ -347,7 +358,14 @@ class SegmentContext:
             merit = lines[:, -1]
         best = int(np.argmax(merit))
         return Node(
-            x, lines[best], here.sigma, max(here.nullity, 2), here.matrix, here.image, lines
+            x,
+            lines[best],
+            here.sigma,
+            max(here.nullity, 2),
+            here.matrix,
+            here.image,
+            lines,
+            complete,
         )
 
 

@@ -13,9 +13,9 @@ from kempe.equations.one_sided import OneSided, pack_one_sided_rows
 from kempe.motion.crossings import (
     AHEAD,
     SingularNode,
-    find_branches,
     find_crossing,
     find_passage,
+    find_touching_branches,
     is_rank_held,
     locate_singular_point,
     make_singular_node,
@@ -243,7 +243,7 @@ def _may_pass_touching_branches(equations: Closure, a: Node, b: Node) -> bool:
         if equations.n > 1
         else None
     )
-    germ = None if x is None else find_branches(equations, x)[1]
+    germ = None if x is None else find_touching_branches(equations, x)
     if germ is None:
         return False
     along = float(equations.compute_difference(a.x, germ.x) @ y) / h

@@ -110,6 +110,8 @@ class Event(InWords):
         Coordinate that turns back, and its value in radians or metres.
     directions
         Velocities (k, nv) along the branches at a singular point; the first is along the path.
+    complete
+        Whether these are all branches that were looked for. Of very many only the first are found.
     nullity
         Number of independent first-order motions.
     """
@@ -121,6 +123,7 @@ class Event(InWords):
     value: float = float("nan")
     nullity: int = 1
     directions: Array | None = field(default=None, repr=False)
+    complete: bool = True
     node: SingularNode | None = field(default=None, repr=False)
     """The singular point as a node of the path, where branches touch or end in a cusp."""
 
@@ -134,7 +137,8 @@ class Event(InWords):
             shown = f"{value.value:.9g} {value.unit}".rstrip()
             return f"s = {self.s:.6g}: {self.kind}, {self.coordinate!r} = {shown}"
         lines = 0 if self.directions is None else len(self.directions)
-        where = f", {lines} branches" if lines > 1 else ""
+        more = "" if self.complete else " or more"
+        where = f", {lines} branches{more}" if lines > 1 else ""
         return f"s = {self.s:.6g}: {self.kind}{where}, {self.nullity} first-order motions"
 
 
@@ -498,6 +502,7 @@ def _list_event_data(
         if event.coordinate
         else {
             "branches": 0 if event.directions is None else len(event.directions),
+            "complete": event.complete,
             "nullity": event.nullity,
         }
     )

@@ -328,7 +328,7 @@ def _choose_bifurcation_node(
     x = here.x
     polished = locate_singular_point(equations, x, here.nullity, 1e-5)
     x = x if polished is None else polished
-    lines, germ = find_branches(equations, x)
+    lines, germ, complete = find_branches(equations, x, wish)
     if germ is not None:
         if driver is not None and not wish.any():
             wish = np.eye(equations.n)[find_angle_or_slide(equations.system, driver)]
@@ -343,7 +343,7 @@ def _choose_bifurcation_node(
         merit = -np.arange(float(len(lines)))
     best = int(np.argmax(merit))
     at = make_node(equations, x)
-    return Node(x, lines[best], at.sigma, max(at.nullity, 2), at.matrix, at.image, lines)
+    return Node(x, lines[best], at.sigma, max(at.nullity, 2), at.matrix, at.image, lines, complete)
 
 
 def explain_freedom(equations: Closure, matrix: Array, drivers: Sequence[str]) -> str:

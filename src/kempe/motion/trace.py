@@ -604,7 +604,17 @@ def _list_singular_events(equations: Closure, nodes: list[Node], s: Array) -> tu
             own = n if isinstance(n, SingularNode) else None
             cusp = own is not None and own.germ.is_cusp(own.half)
             kind = "bifurcation" if len(lines) > 1 else "cusp" if cusp else "singular"
-            out.append(Event(n.x, float(s[k]), kind, nullity=n.nullity, directions=lines, node=own))
+            out.append(
+                Event(
+                    n.x,
+                    float(s[k]),
+                    kind,
+                    nullity=n.nullity,
+                    directions=lines,
+                    complete=n.complete,
+                    node=own,
+                )
+            )
     return tuple(out)
 
 
@@ -651,7 +661,8 @@ def _add_other_branches(equations: Closure, path: Path, options: _Options) -> Pa
                 waiting += other.singular_points
     except BROKEN_OFF as error:
         broken = error
-    if broken is None and all(found):
+    listed = all(event.complete for p in found for event in p.singular_points)
+    if broken is None and listed and all(found):
         return replace(path, others=tuple(found[1:]))
     late = isinstance(broken, TimeUp) or any(p.late for p in found)
     interrupted = isinstance(broken, KeyboardInterrupt) or any(p.interrupted for p in found)

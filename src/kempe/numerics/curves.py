@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -91,7 +91,8 @@ class Node:
 
     `sigma` is the last singular value that is not zero on the regular curve, relative to the
     largest; `nullity` counts those that are zero here: 1 at regular points. `lines` (k, n) are the
-    directions of all branches at a singular point, None where the point is regular.
+    directions of the branches at a singular point, None where the point is regular; `complete` says
+    whether they are all that were looked for.
     """
 
     x: Array
@@ -101,10 +102,11 @@ class Node:
     matrix: Array = field(repr=False)
     image: Array = field(repr=False)
     lines: Array | None = None
+    complete: bool = True
 
     def reverse_direction(self) -> Node:
         """Return the same point with the opposite tangent."""
-        return Node(self.x, -self.t, self.sigma, self.nullity, self.matrix, self.image, self.lines)
+        return replace(self, t=-self.t)
 
 
 def make_node(
