@@ -46,7 +46,7 @@ def run_info(
         ),
     ] = False,
 ) -> None:
-    """Say what a system is: bodies, joints, loops, limits, frames; or draw it, or its tree.
+    """Describe a system: bodies, joints, loops, limits, frames; or draw it, or its tree.
 
     Example: kempe info panda.urdf
     """

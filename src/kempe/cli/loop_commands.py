@@ -86,7 +86,7 @@ def run_classify(
     ] = False,
     tolerance: options.Dimensions = None,
 ) -> None:
-    """Say which kind each constraint is, and how far motions reach.
+    """Classify each constraint as holonomic or nonholonomic, and count the dimensions that motions reach.
 
     Example: kempe classify car
     """
@@ -152,7 +152,7 @@ def run_assemble(
         list[str] | None,
         make_option(
             "--where",
-            "Additional equation, in radians and metres, such as 'A = 2*B'; can be repeated.",
+            "Additional equation, angles in radians, such as 'A = 2*B'; can be repeated.",
             "EQUATION",
         ),
     ] = None,
@@ -246,11 +246,11 @@ def run_trace(
     clearance: options.Clearance = None,
     tolerance: options.Dimensions = None,
 ) -> None:
-    """Follow a mechanism with one freedom through its whole motion.
+    """Follow a mechanism with one degree of freedom through its whole motion.
 
     With --clearance it ends before bodies come nearer. Files get arc length, all
-    coordinates, and x, y (and z) of the frames. Ctrl-C ends the work with the part that was
-    done, as a time limit does (120 s, unless another is given).
+    coordinates, and x, y (and z) of the frames. Ctrl-C or the time limit (120 s by default)
+    ends the work with the part that was done.
 
     Example: kempe trace jansen --driver O --frame foot -o foot.csv --plot foot.png --gif foot.gif
     """
@@ -401,11 +401,10 @@ def run_spaces(
     ] = None,
     rng: options.Rng = None,
 ) -> None:
-    """Say what the configuration space is: dimension, components, samples; and the task space of a
-    frame.
+    """Describe the configuration space: dimension, components, samples; and the task space of a frame.
 
-    With --plot both spaces of a system with two freedoms are drawn beside one another (--frame says
-    of what).
+    With --plot both spaces of a system with two degrees of freedom are drawn beside one another;
+    --frame names the frame of the task space.
 
     Example: kempe spaces two_link --frame e --sample 1000 -o q.csv --plot spaces.png
     """

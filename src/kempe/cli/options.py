@@ -25,7 +25,10 @@ File = Annotated[
         help=f"File in {join_titles(list_readable_formats())}, or a shipped model's name.",
     ),
 ]
-_FREE = f"'free': what nothing ties to the ground moves freely ({join_titles(list_readable_formats('base'))})."
+_FREE = (
+    "'free': bodies that no joint connects to the ground move freely "
+    f"({join_titles(list_readable_formats('base'))})."
+)
 Base = Annotated[str | None, make_option("--base", _FREE, "free", _READ)]
 Root = Annotated[
     str | None,
@@ -51,7 +54,7 @@ XacroArguments = Annotated[
     list[str] | None, make_option("--xacro-arg", _ARGUMENT, "NAME=VALUE", _READ)
 ]
 _LENIENT = (
-    "Limits without a range (no bounds, or swapped), and negative ones of effort, are none "
+    "Ignore limits without a range (no bounds, or lower above upper) and negative limits of effort "
     f"({join_titles(list_readable_formats('lenient_limits'))})."
 )
 Lenient = Annotated[bool, make_option("--lenient-limits", _LENIENT, None, _READ)]
@@ -173,7 +176,7 @@ Tolerance = Annotated[
     str | None,
     make_option(
         "--tolerance",
-        "Largest errors accepted, metres and radians (1e-6; all solutions 1e-9; a path 1e-10).",
+        "Largest errors accepted, in the unit of FILE and radians (1e-6 m; --all 1e-9 m; a path 1e-10 m).",
         "M[,RAD]",
     ),
 ]
@@ -181,7 +184,7 @@ Dimensions = Annotated[
     str | None,
     make_option(
         "--tolerance",
-        "Tolerance of the dimensions, in metres and radians, or 'measured'.",
+        "Tolerance of the dimensions, in the unit of FILE and radians, or 'measured'.",
         "NUMBER",
     ),
 ]

@@ -36,7 +36,7 @@ def run_fk(
     q: options.Values = None,
     posture: options.Posture = None,
 ) -> None:
-    """Say where a frame is, or all bodies are (forward model).
+    """Compute the pose of a frame, or of all bodies (forward kinematics).
 
     Example: kempe fk panda.urdf --frame panda_hand_tcp --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
@@ -65,11 +65,11 @@ def run_clearance(
     q: options.Values = None,
     posture: options.Posture = None,
 ) -> None:
-    """Say which bodies are nearest to one another, by their collision shapes.
+    """Find the bodies that are nearest to one another, by their collision shapes.
 
     The exit code is 1 where two bodies overlap.
 
-    Without --q and --posture the configuration is the neutral one, as is remarked.
+    Without --q and --posture the neutral configuration is taken, and a line says so.
 
     Example: kempe clearance panda.urdf --q 0,-45,0,-135,0,90,45,0.04 --deg
     """
@@ -101,7 +101,9 @@ def run_ik(
     tolerance: options.Tolerance = None,
     all: Annotated[
         bool,
-        make_option("--all", "All configurations that reach the target, in closed form."),
+        make_option(
+            "--all", "All configurations that reach the target, in closed form or by elimination."
+        ),
     ] = False,
     task: options.Task = None,
     axis: options.Axis = None,
@@ -116,8 +118,8 @@ def run_ik(
     ] = None,
     clearance: options.Clearance = None,
 ) -> None:
-    """Find a configuration that brings a frame to a pose, or all of them (of a redundant chain for
-    joints to --hold), or one that holds several tasks.
+    """Find a configuration that brings a frame to a pose, or with --all every one (of a redundant
+    chain with some joints held, see --hold), or one that satisfies several tasks.
 
     With --clearance, bodies and obstacles keep a distance.
 
@@ -197,11 +199,11 @@ def run_path(
     tolerance: options.Tolerance = None,
     clearance: options.Clearance = None,
 ) -> None:
-    """Follow a sequence of targets without a jump, or say where and why that cannot be.
+    """Follow a sequence of targets without a jump, or report where and why no continuous path exists.
 
     With --clearance, bodies keep a distance at the targets and between them.
 
-    Ctrl-C ends the work with what was done, as a time limit does (600 s, unless another is given).
+    Ctrl-C or the time limit (600 s by default) ends the work with the part that was done.
 
     Example: kempe path panda.urdf --frame panda_hand_tcp --targets weld.csv -o q.csv
     """
@@ -269,7 +271,7 @@ def run_plan(
     axis: options.Axis = None,
     hold: options.Hold = None,
 ) -> None:
-    """Say what a chain's axes have in common, and how all its configurations are found.
+    """Describe how the axes of a chain lie, and the method that finds all its configurations.
 
     Example: kempe plan panda.urdf --frame panda_hand_tcp
     """
@@ -299,7 +301,9 @@ def run_workspace(
     ] = None,
     box: Annotated[
         str | None,
-        make_option("--box", "The box in metres: xmin,xmax,ymin,ymax[,zmin,zmax].", "NUMBERS"),
+        make_option(
+            "--box", "Box in the unit of FILE: xmin,xmax,ymin,ymax[,zmin,zmax].", "NUMBERS"
+        ),
     ] = None,
     kind: Annotated[
         str | None,
@@ -384,14 +388,16 @@ def run_query(
     ],
     points: Annotated[
         list[str],
-        typer.Argument(metavar="POINT...", help="Points x,y[,z] in metres, in the ground frame."),
+        typer.Argument(
+            metavar="POINT...", help="Points x,y[,z] in the unit of the map, in the ground frame."
+        ),
     ],
 ) -> None:
-    """Say whether points are reached, and how far they are from the boundary.
+    """Test whether points are reached, and measure how far they are from the boundary.
 
-    The exact boundary decides where it is known, else the map where all cells around have samples,
-    else the inverse model. Of a map of orientations points are orientations: angles of the plane,
-    or roll,pitch,yaw.
+    The exact boundary decides if it is known, else the map if all cells around the point have
+    samples, else inverse kinematics. Points of a map of orientations are orientations: an angle in
+    the plane, roll,pitch,yaw in space.
 
     Example: kempe query map.zarr 0.3,0.2,0.5 0.9,0,0
     """
@@ -467,7 +473,7 @@ def run_map(
     tolerance: options.Tolerance = None,
     scheduler: options.Scheduler = None,
 ) -> None:
-    """Answer each row of a file of any size, in chunks, so that it can be stopped and gone on with.
+    """Answer each row of a file of any size, in chunks, so that it can be stopped and continued.
 
     With --deg angles of ROWS are degrees; what is written is in radians. Ctrl-C or the time limit
     ends it with what was done; the same command goes on from there.
@@ -596,9 +602,9 @@ def run_reach(
     position_only: options.PositionOnly = False,
     clearance: options.Clearance = None,
 ) -> None:
-    """Say which of a list of poses are reached, how well, and what blocks the others.
+    """Test which poses of a list are reached, how well, and what blocks the others.
 
-    With --clearance, those that are reached with bodies kept apart.
+    With --clearance, bodies must keep this distance there.
 
     Example: kempe reach ur5 weld.csv --frame tool
     """

@@ -293,7 +293,7 @@ FORMS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "weight": (_is_number, "a number"),
     "margin": (_is_number, "a number"),
     "priority": (_is_whole, "a whole number"),
-    "tolerance": (_is_tolerance, "one or two numbers, in metres and radians"),
+    "tolerance": (_is_tolerance, "one or two numbers, a length and an angle in radians"),
     **{key: (_are_bodies, "the name of a body, or a list of names") for key in BODIES},
     "frames": (_are_frames, "a list of names, or a table of weights"),
 }
