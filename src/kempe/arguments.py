@@ -351,7 +351,7 @@ def numbers(x: Any, what: str, *core: int) -> np.ndarray:
     return array
 
 
-def together(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
+def broadcast_shapes(shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, ...]:
     """Broadcast the leading shapes of several arguments, given by their names.
 
     Errors: `InputError`.

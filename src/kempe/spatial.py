@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kempe.arguments import numbers, quiet, together
+from kempe.arguments import broadcast_shapes, numbers, quiet
 from kempe.arrays import warn_of_degrees
 from kempe.errors import InputError, format_value, raise_missing_name
 from kempe.numerics.rank import Spectrum
@@ -57,7 +57,7 @@ def pose(R: ArrayLike | None = None, p: ArrayLike | None = None) -> Array:
     p = np.zeros(3) if p is None else numbers(p, "p", 3)
     shape = turn.shape[:-2]
     if p.shape[:-1] != shape:
-        shape = together({"R": shape, "p": p.shape[:-1]})
+        shape = broadcast_shapes({"R": shape, "p": p.shape[:-1]})
     out = np.zeros((*shape, 4, 4))
     out[..., :3, :3] = turn
     out[..., :3, 3] = p
@@ -254,7 +254,7 @@ def quat_wxyz_multiply(a: ArrayLike, b: ArrayLike) -> Array:
     a = numbers(a, "a", 4)
     b = numbers(b, "b", 4)
     if a.shape != b.shape:
-        together({"a": a.shape, "b": b.shape})
+        broadcast_shapes({"a": a.shape, "b": b.shape})
     aw, ax, ay, az = (a[..., i] for i in range(4))
     bw, bx, by, bz = (b[..., i] for i in range(4))
     w = aw * bw - (ax * bx + ay * by + az * bz)

@@ -672,5 +672,8 @@ def test_a_tolerance_is_enough_from_the_change_that_is_needed_on(error):
 def test_mobility_says_what_moves_near_a_rigid_mechanism():
     """Also where it stands folded: `test_mobility_says_where_it_is_folded`."""
     found = make_locomotive(1e-5).mobility()
-    assert found.dof == 0 and "it would have 1 freedom: tolerance= allows that" in found.sentence
+    assert (
+        found.dof == 0
+        and "it would have 1 freedom: the argument tolerance= allows this" in found.sentence
+    )
     assert "tolerance" not in kempe.load("shaky_3r").mobility().sentence

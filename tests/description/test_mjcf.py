@@ -374,7 +374,7 @@ def test_range_of_a_fixed_tendon_is_an_inequality(at_once):
     tendons = TENDONS.replace('name="t"', 'name="t" range="-0.1 0.2"')
     system = read_mechanism(mjcf(ARM, more=tendons)).build()
     held = system.mechanism.constraints["t"]
-    assert held.kind == "inequality" and held.bounds(3) == 2
+    assert held.kind == "inequality" and held.count_bounds(3) == 2
     answer = system.assemble(start=[1.0, 0.0, 0.0])
     p, q, _ = answer.q
     assert -0.1 - 1e-9 <= p - 2 * q <= 0.2 + 1e-9

@@ -124,7 +124,8 @@ def test_preferred_coordinates_come_first_or_are_refused():
             assert set(s.independent(q, prefer=pair).independent) == set(pair)
     assert "A" in s.independent(q, prefer=["A"]).independent
     with pytest.raises(
-        InputError, match="3 coordinates are preferred; 2 freedoms can be chosen here, each once"
+        InputError,
+        match="3 coordinates are preferred; q has 2 degrees of freedom here, so prefer at most 2",
     ):
         s.independent(q, prefer=s.structure.velocity_names[:3])
     with pytest.raises(UnknownNameError):

@@ -112,7 +112,7 @@ def describe_fold(folded: Sequence[tuple[str, str]]) -> str:
 def suggest_near_mechanism(nearest: str, freedoms: int) -> str:
     """Suggest the mechanism nearest to one that cannot move."""
     moves = f"it would have {format_count(freedoms, 'freedom')}"
-    return f"; with dimensions changed {nearest} {moves}: tolerance= allows that"
+    return f"; with dimensions changed {nearest} {moves}: the argument tolerance= allows this"
 
 
 def describe_remaining_freedoms(

@@ -210,7 +210,7 @@ def build_parts(system: Model, parameters: Mapping[str, Number]) -> Parts:
     other = [
         c
         for c in mechanism.constraints.values()
-        if c.equations(2) and not (c.rod or _is_point_on_line(c))
+        if c.count_equations(2) and not (c.rod or _is_point_on_line(c))
     ]
     if other:
         return Parts(trouble=f"constraint {other[0].name!r} is of kind {other[0].kind}")
@@ -271,7 +271,9 @@ def _connect_parts(
             Link(joint.name, R if turns else P, a, b, F, M, slots[source], multiplier, offset)
         )
     constraints = mechanism.constraints
-    for name in sorted((n for n, c in constraints.items() if c.equations(2)), key=make_sort_key):
+    for name in sorted(
+        (n for n, c in constraints.items() if c.count_equations(2)), key=make_sort_key
+    ):
         links += _make_constraint_links(constraints[name], len(groups), at, parameters)
         groups.append([name])
     size = _measure_parts(links)

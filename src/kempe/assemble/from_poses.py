@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kempe import spatial
-from kempe.arguments import explain_errors, together
+from kempe.arguments import broadcast_shapes, explain_errors
 from kempe.assemble.assemble import bind_assembler
 from kempe.assemble.bound import LOOSEST, TOLERANCE
 from kempe.description.mechanism import Mechanism
@@ -109,7 +109,9 @@ def from_maximal(
     if start is not None:
         refuse_large_numbers(system, start, "start")
     _refuse_no_poses(system, poses, tolerance)
-    lead = together({"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]})
+    lead = broadcast_shapes(
+        {"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]}
+    )
     joints = system.mechanism.joints
     read = read_joints(
         system, poses, compute_mid_configuration(system) if start is None else start, tolerance

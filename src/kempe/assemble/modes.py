@@ -565,7 +565,7 @@ def _find_moving_directions(
 
 
 def has_even_count(s: ModesSearch) -> bool:
-    """Return whether the number of modes is surely even.
+    """Return whether the number of modes is proven to be even.
 
     All found must be regular solutions of as many equations as unknowns.
 
@@ -625,7 +625,7 @@ def _is_quaternion_velocity(system: Model, i: int) -> bool:
 
 def _list_equations(system: Model) -> list[Declared]:
     """List the declared constraints that are equations."""
-    return [c for c in system._mechanism.constraints.values() if c.equations(system.dim)]
+    return [c for c in system._mechanism.constraints.values() if c.count_equations(system.dim)]
 
 
 def _is_tied_particle(system: Model, i: int) -> bool:

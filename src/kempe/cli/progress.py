@@ -22,7 +22,7 @@ def run_verb(
     count: int | None = None,
     **options: Any,
 ) -> Any:
-    """Return the answer of a verb, after Ctrl-C the part that was done, and show how far it is.
+    """Run a verb, show its progress, and return its answer; after Ctrl-C the part that was done.
 
     `what` is what the verb counts, `count` how many there are where that is known.
     """

@@ -19,7 +19,7 @@ from kempe.arrays import is_array, is_sequence
 from kempe.constraints.base import LARGEST, Bounded, Constraint, Names, Op, Row, kind
 from kempe.constraints.builder import Builder, rename_inputs, scale_inputs
 from kempe.constraints.tape import RATE, TIME, Tape, quote_name
-from kempe.constraints.text import is_texts, parse_expression, parse_tape
+from kempe.constraints.text import is_text_tuple, parse_expression, parse_tape
 from kempe.errors import InputError, KempeError, UnknownNameError, format_value
 from kempe.kernels.constraints import tape_layout as L
 from kempe.values import Expression
@@ -679,7 +679,7 @@ class _Valued(_WrittenKind, Bounded):
             self._check_shape((len(written),))
         elif not isinstance(written, (Call, Tape)):
             written = (format_expression(written, self.message_name),)
-        texts: tuple[str, ...] = written if is_texts(written) else ()
+        texts: tuple[str, ...] = written if is_text_tuple(written) else ()
         object.__setattr__(self, "expression", texts[0] if len(texts) == 1 else written)
         for text in texts if self.sense or self.bounded else ():
             if "=" in text:
@@ -726,7 +726,9 @@ class _Valued(_WrittenKind, Bounded):
             return super().describe_field(name)
         written = self._texts
         tail = " >= 0" if self.sense else " = 0"
-        texts: tuple[str, ...] = written if is_texts(written) else (f"f({', '.join(self.of)})",)
+        texts: tuple[str, ...] = (
+            written if is_text_tuple(written) else (f"f({', '.join(self.of)})",)
+        )
         if self.bounded:
             return f"{', '.join(texts)} {'is' if len(texts) == 1 else 'are'} {self.bounds_text}"
         return ", ".join(t if "=" in t else t + tail for t in texts)
@@ -923,7 +925,7 @@ class VelocityEquation(_WrittenKind):
         """Read entries as texts, or rows of texts."""
         if callable(written) and not isinstance(written, Expression):
             found, shape = self._record_user_function(written, fits)
-            if not is_texts(found):
+            if not is_text_tuple(found):
                 why = found.reason if isinstance(found, Call) else "as text it is too long"
                 raise InputError(
                     f"{self.message_name} cannot be recorded: {why}; rows of velocities need derivatives "
@@ -960,7 +962,7 @@ class VelocityEquation(_WrittenKind):
     def _format_rows(self) -> tuple[str, ...]:
         """Return each row A v - b as an expression in velocities."""
         matrix: Any = self.matrix
-        b = self.b if is_texts(self.b) else (self.b,) * len(matrix)
+        b = self.b if is_text_tuple(self.b) else (self.b,) * len(matrix)
         rates = [quote_name(n + RATE) for n in self.of]
         rows = [" + ".join(f"({a})*{v}" for a, v in zip(row, rates, strict=True)) for row in matrix]
         return tuple(row if y == "0" else f"{row} - ({y})" for row, y in zip(rows, b, strict=True))
@@ -969,7 +971,7 @@ class VelocityEquation(_WrittenKind):
     def words(self) -> tuple[str, ...]:
         """Names in the expressions, coordinates first."""
         matrix: Any = self.matrix
-        b = self.b if is_texts(self.b) else (self.b,)
+        b = self.b if is_text_tuple(self.b) else (self.b,)
         return tuple(dict.fromkeys([*self.of, *list_words((*(x for r in matrix for x in r), *b))]))
 
     def resolve_names(self, parameters: Collection[str]) -> Constraint:
@@ -1028,6 +1030,6 @@ class VelocityEquation(_WrittenKind):
             return convert(tape).format_outputs()[0]
 
         b: Any = self.b
-        b = tuple(map(convert_text, b)) if is_texts(b) else convert_text(b)
+        b = tuple(map(convert_text, b)) if is_text_tuple(b) else convert_text(b)
         rows: Any = self.matrix
         return replace(self, matrix=tuple(tuple(map(convert_text, row)) for row in rows), b=b)

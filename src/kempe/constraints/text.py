@@ -161,7 +161,7 @@ def _make_function(op: int, of_two: bool) -> Callable[..., TapePlace]:
     return two if of_two else one
 
 
-def is_texts(x: object) -> TypeGuard[tuple[str, ...]]:
+def is_text_tuple(x: object) -> TypeGuard[tuple[str, ...]]:
     """Tell whether an object is a tuple, as of the texts of several expressions."""
     return isinstance(x, tuple)
 

@@ -181,7 +181,7 @@ def read_body_meshes(
     meanwhile: Callable[[], object] | None = None,
     known: dict[Source, Triangles | str] | None = None,
 ) -> tuple[dict[str, list[PlacedMesh]], list[str]]:
-    """The meshes of each body by its name, and a sentence for each mesh that cannot be shown.
+    """Read the meshes of each body by its name, and a sentence for each mesh that cannot be shown.
 
     `meanwhile` is called while they are read, if there are any. What is `known` is not read again;
     what is read becomes known.
@@ -214,7 +214,7 @@ def read_body_meshes(
 
 
 def list_drawn_shapes(shapes: Iterable[Shape]) -> list[Shape]:
-    """The shapes of a body that are drawn: what is seen of it, else what it collides with."""
+    """List the shapes of a body that are drawn: its visual shapes, else its collision shapes."""
     given = list(shapes)
     return [s for s in given if s.visual] or given
 
@@ -222,7 +222,7 @@ def list_drawn_shapes(shapes: Iterable[Shape]) -> list[Shape]:
 def _find_source(
     shape: Shape, mechanism: Mechanism, folders: Folders
 ) -> tuple[Source, Array, Array]:
-    """The source of a shape, its scale (3,) and its place (4, 4). Errors: `KempeError`."""
+    """Find the source of a shape, its scale (3,) and its place (4, 4). Errors: `KempeError`."""
     geometry = shape.geometry.evaluate_sizes(mechanism.parameters)
     X = shape.X_BS.evaluate_pose(mechanism.parameters)
     _refuse_large_sizes(geometry, X)
@@ -334,7 +334,7 @@ def _explain_unread_file(path: Path) -> str:
 
 
 def _load_result(folder: Path, k: int) -> Triangles | str | None:
-    """The triangles of source `k`, or the text about it; None where the process wrote neither."""
+    """Load the triangles of source `k`, or the text about it; None where the process wrote neither."""
     if (reason := folder / f"{k}.txt").exists():
         return reason.read_text(encoding="utf-8", errors="replace")
     if not (made := folder / f"{k}.npz").exists():

@@ -346,15 +346,15 @@ class Declared(InSentence):
         (row,) = made.list_rows(3)
         return getattr(made, row.equal)
 
-    def equations(self, dim: int) -> int:
+    def count_equations(self, dim: int) -> int:
         """Return the number of equations f(q) = 0 for dimension `dim` (2 or 3)."""
         return sum(r.count_equations(dim) for r in list_position_rows(self.of, dim))
 
-    def positions(self, dim: int) -> int:
+    def count_positions(self, dim: int) -> int:
         """Return the number of rows on positions, not velocities, for dimension `dim` (2 or 3)."""
-        return self.equations(dim) + self.bounds(dim)
+        return self.count_equations(dim) + self.count_bounds(dim)
 
-    def bounds(self, dim: int) -> int:
+    def count_bounds(self, dim: int) -> int:
         """Return the number of inequalities among the rows, for dimension `dim` (2 or 3)."""
         return sum(
             r.count_equations(dim)
@@ -362,7 +362,7 @@ class Declared(InSentence):
             if not r.velocity and is_one_sided(self.of, r)
         )
 
-    def of_pose(self, dim: int) -> int:
+    def count_pose_equations(self, dim: int) -> int:
         """Return the number of equations on directions, rotations and distances.
 
         Equations by expressions do not count.

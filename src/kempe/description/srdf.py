@@ -268,7 +268,7 @@ class Srdf:
             subject = f"group_state {name!r}"
             group = element.attributes.get("group")
             if group is None:
-                said = "it names no group: the posture is called as it is"
+                said = "it names no group: the posture has its name without a group before it"
                 self.findings.add_note(said, subject, element.location)
             else:
                 self._read_known_name(element, "group", mechanism.groups, "group", subject)

@@ -596,7 +596,7 @@ def judge_configurations(
     found += [
         (c.name, at.measure_constraint(c))
         for c in m.constraints.values()
-        if c.positions(system.dim)
+        if c.count_positions(system.dim)
     ]
     found += [
         (r.of, at.measure_relation(r.of, r.sources, r.offset)) for r in system.structure.relations

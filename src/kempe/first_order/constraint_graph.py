@@ -512,7 +512,7 @@ def _sort_tree_bodies(parent: tuple[int, ...]) -> list[int]:
 def count_closing_equations(edge: Edge, dim: int) -> int:
     """Count the equations with which an edge closes a loop, its own velocities being unknowns."""
     if isinstance(edge.of, Declared):
-        return edge.of.of_pose(dim)
+        return edge.of.count_pose_equations(dim)
     return dim if edge.particle else (6 if dim == 3 else 3)
 
 

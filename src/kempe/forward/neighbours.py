@@ -16,11 +16,11 @@ from numpy.typing import ArrayLike
 
 from kempe import spatial
 from kempe.arguments import (
+    broadcast_shapes,
     explain_errors,
     explain_init_errors,
     explain_method_errors,
     numbers,
-    together,
 )
 from kempe.arrays import read_reals
 from kempe.description.length_units import convert_to_metres
@@ -549,7 +549,7 @@ class Correspondence:
                 f"{self.system.name!r} has {self._whole} of its {self.nq} numbers"
             )
         start = np.zeros(self.nq) if base is None else numbers(base, "base", self.nq)
-        lead = together({"q": values.shape[:-1], "base": start.shape[:-1]})
+        lead = broadcast_shapes({"q": values.shape[:-1], "base": start.shape[:-1]})
         out = np.broadcast_to(start, (*lead, self.nq)).copy()
         out[..., self._at] = values
         if self._angles.size:
@@ -584,7 +584,7 @@ class Correspondence:
         """
         values = self._read_entries(q)
         start = self.system.neutral if base is None else self._in_unit.read_q(base)
-        lead = together({"q": values.shape[:-1], "base": start.shape[:-1]})
+        lead = broadcast_shapes({"q": values.shape[:-1], "base": start.shape[:-1]})
         out = np.broadcast_to(start, (*lead, self.system.nq)).copy()
         out[..., self._source_of[self._own]] = values[..., self._own]
         self._add_whole_turns(out, values)
@@ -786,7 +786,7 @@ class Correspondence:
 
 def _merge_leading_shapes(lead: tuple[int, ...], values: Array) -> tuple[int, ...]:
     """Merge the leading shape of velocities or Jacobians with that of q."""
-    return together({"v": lead, "q": values.shape[:-1]})
+    return broadcast_shapes({"v": lead, "q": values.shape[:-1]})
 
 
 def _check_columns(J: Array, nv: int) -> None:

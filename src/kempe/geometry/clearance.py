@@ -72,7 +72,7 @@ class NearestBodies(Report):
         a, b = self.pairs[0]
         d = float(self.distance[0])
         if d > 0.0:
-            return f"nearest are {a!r} and {b!r}, {d:.4g} m apart"
+            return f"nearest bodies: {a!r} and {b!r}, {d:.4g} m apart"
         return f"{a!r} and {b!r} overlap by {abs(d):.4g} m"
 
     def _make_tables(self) -> list[Table]:

@@ -515,13 +515,13 @@ class ConstrainedSteps:
         dt: float,
         at: Callable[[Array], list[Stage]],
     ) -> Array:
-        """The Hessian (k, k), in the free velocities, of half the square of what the last stage
+        """Compute the Hessian (k, k), in the free velocities, of half the square of what the last stage
         misses, where loops and earlier stages stay as they are: that of the Lagrangian, by
         differences.
         """
 
         def evaluate_pull(x: Array, requested: list[Stage]) -> tuple[Array, Array]:
-            """What the last stage pulls at (..., nv), and the rows (..., m, nv) that stay, at
+            """Evaluate the gradient (..., nv) of the last stage, and the rows (..., m, nv) that stay, at
             configurations.
             """
             C = evaluate_constraints(self.closing, x, True, True)[1]

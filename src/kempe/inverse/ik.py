@@ -33,7 +33,7 @@ from kempe.answers.targets import (
     refuse_position,
     split_task,
 )
-from kempe.arguments import explain_errors, quiet, read_flag, together
+from kempe.arguments import broadcast_shapes, explain_errors, quiet, read_flag
 from kempe.budget import Budget, TimeUp
 from kempe.errors import InputError, TimeLimitError
 from kempe.inverse import multi_start
@@ -319,7 +319,7 @@ def _broadcast_targets(
     """Broadcast targets (N, 4, 4) and starts against each other; also return the leading shape."""
     if start.ndim == 1 or start.shape[:-1] == lead:
         return targets, lead, start
-    many = together({"target": lead, "start": start.shape[:-1]})
+    many = broadcast_shapes({"target": lead, "start": start.shape[:-1]})
     targets = np.broadcast_to(targets.reshape(*lead, 4, 4), (*many, 4, 4)).reshape(
         math.prod(many), 4, 4
     )

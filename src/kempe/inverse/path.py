@@ -726,7 +726,7 @@ class IkPath(Configurations):
         return self.status
 
     def _make_tables(self) -> Sequence[Table]:
-        """The range of each coordinate, and its largest step between two targets."""
+        """Make the table of the range and the largest step of each coordinate."""
         if not np.isfinite(self.q).any():
             return []
         return [make_ranges_table(self.system, self.q, steps=True)]
@@ -1193,7 +1193,7 @@ def _describe_stop(
 SOLVERS = (
     Solver(
         "steps",
-        "each step from its first order on, halved where it is not much longer than that",
+        "steps along the path, each predicted to first order, corrected, and halved where it is too long",
         accept_all_problems,
         solve_path,
     ),

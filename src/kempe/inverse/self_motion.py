@@ -277,7 +277,7 @@ def _choose_direction(system: Model, direction: Any, local: Local, problem: Dema
             )
         found = local.motions
         if (np.abs(found @ found[0]) < ALIKE).any():
-            raise InputError("self-motions branch here: say by `direction` which way to go")
+            raise InputError("self-motions branch here: `direction` chooses one")
         return found[0]
     scale = problem.packed.scale
     if isinstance(direction, str):

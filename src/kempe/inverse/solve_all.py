@@ -355,7 +355,7 @@ class BoundIkAll:
         return BoundIkAll, (self.system, self.frame, self.held)
 
     def make_problem(self, target: Array) -> ChainProblem:
-        """The problem that was solved."""
+        """Make the problem that was solved."""
         return ChainProblem(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
 
     def __call__(self, target: Array, fixed: Mapping[str, Any] | None = None) -> Solutions | None:

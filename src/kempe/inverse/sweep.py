@@ -861,8 +861,8 @@ class JointCurves:
         self.unit = float(motion.unit[motion.p])
         self.labels = tuple(f"branch {k + 1}" for k in range(len(arcs)))
         self.reason = (
-            f"none of {format_count(samples, 'value')} has one; it may be that the target alone "
-            "decides it"
+            f"none of {format_count(samples, 'value')} of it admits a solution; the target alone may "
+            "determine its value"
         )
 
     def find_intervals(self, limited: bool) -> list[list[tuple[float, float]]]:

@@ -363,7 +363,8 @@ def independent(
             "preferred"
         )
         raise InputError(
-            f"{given}; {format_count(p, 'freedom')} can be chosen here{', each once' * (p > 1)}"
+            f"{given}; q has {format_count(p, 'degree')} of freedom here, so prefer at most {p} "
+            "different coordinates"
         )
     least = _bound_quality(p, system.nv)
     if rows and _measure_quality(N, rows) < least:
@@ -507,8 +508,8 @@ def compute_tangent_space(system: Model, q: Any, dim: int | None = None) -> tupl
     error, J = evaluate_constraints(system, q, True, True)
     if not np.linalg.norm(error) <= 10.0 * TOLERANCE:
         raise InputError(
-            f"q is not closed: the loops' equations are off by {np.linalg.norm(error):.3g}; use "
-            "assemble"
+            f"q does not close the loops: their equations have a residual of "
+            f"{np.linalg.norm(error):.3g}; assemble closes them"
         )
     spectrum = Spectrum(J, 1.0)
     N = spectrum.compute_null_space(Level.CLOSED)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kempe.arguments import check_name, explain_errors, make_generator, numbers, together
+from kempe.arguments import broadcast_shapes, check_name, explain_errors, make_generator, numbers
 from kempe.arrays import (
     MOST_TURNED,
     PLAIN,
@@ -152,7 +152,7 @@ def has_loops(system: Model) -> bool:
     """Tell whether q has to satisfy equations: of loops, constraints, or relations of coordinates."""
     tied = system.structure.closures or system.structure.relations
     return bool(tied) or any(
-        c.equations(system.dim) for c in system._mechanism.constraints.values()
+        c.count_equations(system.dim) for c in system._mechanism.constraints.values()
     )
 
 
@@ -260,7 +260,9 @@ def compute_source_values(system: Model, given: Mapping[str, Any]) -> Mapping[st
             out[source] = unwrap_scalar((x - follower.offset) / follower.multiplier)
             continue
         leader = 0.0 if source is None else read_reals(out[source], f"coordinate {source!r}")
-        together({f"coordinate {name!r}": x.shape, f"coordinate {source!r}": np.shape(leader)})
+        broadcast_shapes(
+            {f"coordinate {name!r}": x.shape, f"coordinate {source!r}": np.shape(leader)}
+        )
         if source is not None and np.ndim(leader) < x.ndim:
             out[source] = leader + np.zeros(x.shape)
         refuse_other_follower(
@@ -516,7 +518,7 @@ def integrate_velocity(system: Model, q: Any, v: ArrayLike) -> Array:
         )
     q = read_q(system, q)
     if q.shape != v.shape and q.ndim + v.ndim > 2:
-        together({"q": q.shape[:-1], "v": v.shape[:-1]})
+        broadcast_shapes({"q": q.shape[:-1], "v": v.shape[:-1]})
     return system.structure.layout.integrate_velocity(q, v)
 
 
@@ -532,7 +534,7 @@ def compute_difference(system: Model, q0: Any, q1: Any) -> Array:
     a = read_q(system, q0)
     b = read_q(system, q1)
     if a.shape != b.shape:
-        together({"q0": a.shape[:-1], "q1": b.shape[:-1]})
+        broadcast_shapes({"q0": a.shape[:-1], "q1": b.shape[:-1]})
     return shorten_turns(system.structure.layout.compute_difference(a, b), find_free_angles(system))
 
 
@@ -565,7 +567,7 @@ def interpolate_configurations(system: Model, q0: Any, q1: Any, t: ArrayLike) ->
     """
     t = numbers(t, "t")
     v = compute_difference(system, q0, q1)
-    together({"t": t.shape, "q0 and q1": v.shape[:-1]})
+    broadcast_shapes({"t": t.shape, "q0 and q1": v.shape[:-1]})
     return integrate_velocity(system, q0, t[..., None] * v)
 
 

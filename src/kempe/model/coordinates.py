@@ -567,7 +567,7 @@ def find_wound_coordinates(mechanism: Mechanism, c: Coordinates) -> np.ndarray:
     out = np.zeros(len(c.velocity_names), dtype=bool)
     number = {name: i for i, name in enumerate(c.velocity_names)}
     for declared in mechanism.constraints.values():
-        for name in declared.of.coordinate_names if declared.positions(mechanism.dim) else ():
+        for name in declared.of.coordinate_names if declared.count_positions(mechanism.dim) else ():
             source = c.followers[name].source if name in c.followers else name
             if source in number:
                 out[number[source]] = True

@@ -35,7 +35,7 @@ def fix_time(system: SystemType, t: float) -> SystemType:
     """Return the system at the time t in seconds, with the same coordinates. Errors: `InputError`."""
     if np.ndim(t) or not np.isfinite(numbers(t, "t")):
         raise InputError(
-            f"t is {t!r}; it must be one time, a finite number: many are for drive(times=...)"
+            f"t is {t!r}; it must be one finite number; drive(times=...) takes several"
         )
     if not t or not list_timed_constraints(system):
         return system

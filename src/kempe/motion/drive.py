@@ -147,7 +147,7 @@ class Stuck:
     reached: bool = False
 
 
-UNREACHED = "this branch does not lead to the inputs asked for"
+UNREACHED = "this branch does not reach the requested inputs"
 """Reason of being stuck where the motion turns back."""
 
 

@@ -431,7 +431,7 @@ class Path(Motion):
         return text + self._describe_early_end() + (f"; {self.remark}" if self.remark else "")
 
     def _make_tables(self) -> Sequence[Table]:
-        """The range of each coordinate, with its extremes between the points."""
+        """Make the table of the range of each coordinate, extremes between points included."""
         if len(self) < 2:
             return []
         return [make_ranges_table(self.system, np.vstack([self.q, *(e.q for e in self.extremes)]))]

@@ -162,8 +162,8 @@ class Velocities:
                 z = Spectrum(some[0][:-1]).solve_least_squares(some[1][:-1], Level.CLOSED)
                 had = float(some[0][-1] @ z) * size[fixed + k]
                 return (
-                    f"the constraints do not allow the input {name!r}{beside}: {had:.6g} would do "
-                    f"in place of {float(some[1][-1]) * size[fixed + k]:.6g}"
+                    f"the constraints do not allow the input {name!r} = "
+                    f"{float(some[1][-1]) * size[fixed + k]:.6g}{beside}; they allow {had:.6g}"
                 )
         return "constraints and inputs contradict each other"
 

@@ -370,8 +370,8 @@ def explain_freedom(equations: Closure, matrix: Array, drivers: Sequence[str]) -
     head = f"{system.name} has {format_count(count, 'freedom')} to first order here, {driven}; {still}: "
     if not named:
         return (
-            f"{head}{_format_names(balls)}, which {'is a ball' if len(balls) == 1 else 'are balls'} "
-            "without coordinates that can be held: angles=True gives a ball angles"
+            f"{head}{_format_names(balls)}; a ball joint has no coordinate that can be held; with "
+            "angles=True it has three angles"
         )
     which, them = ("one", "it") if many == 1 else (str(many), "them")
     also = (

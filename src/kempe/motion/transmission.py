@@ -377,7 +377,9 @@ def _find_dyad(
             f"the coupler has {len(rest)} other joints: {', '.join(rest)}; name one: coupler=..."
         )
     if coupler is not None and coupler not in rest:
-        raise InputError(f"{coupler!r} is no joint of the coupler; these are: {', '.join(rest)}")
+        raise InputError(
+            f"{coupler!r} is not a joint of the coupler; its joints are: {', '.join(rest)}"
+        )
     return coupler or rest[0], output
 
 

@@ -438,7 +438,7 @@ def make_configuration_space(system: Model) -> ConfigurationSpace:
     parts = [name if n == 1 else f"{name}^{n}" for name, n in factors if n]
     limited = int((np.isfinite(system.lower) | np.isfinite(system.upper)).sum())
     rows = len(system.structure.relations)
-    rows += sum(c.equations(system.dim) for c in system._mechanism.constraints.values())
+    rows += sum(c.count_equations(system.dim) for c in system._mechanism.constraints.values())
     for name in system.structure.closures:
         joint = system.structure.joints[name]
         particle = system._mechanism.bodies[joint.child].particle

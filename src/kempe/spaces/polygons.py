@@ -74,8 +74,8 @@ class Polygon:
         taken = self.count == 1 and more > 8.0 * np.finfo(float).eps * total
         equal = f"; sums that differ by {more:.1g} m are taken to be equal" if taken else ""
         return (
-            f"{said} (the longest are {names}; {sums}, half of all: Kapovich and Millson, "
-            f"1995{equal})"
+            f"{said} (the longest are {names}; {sums}, half of the sum of all lengths: Kapovich and "
+            f"Millson, 1995{equal})"
         )
 
     def label_components(self, q: Array) -> np.ndarray:

@@ -176,8 +176,8 @@ class TaskSpace(Report):
             said = f"{format_count(m - k, 'constraint')} of the task cannot be set independently"
         elif n > k:
             said = (
-                f"redundant by {format_count(n - k, 'freedom')}: infinitely many configurations "
-                "reach what is reached"
+                f"redundant by {format_count(n - k, 'degree')} of freedom: infinitely many configurations "
+                "reach each point"
             )
         else:
             said = "finitely many configurations reach each point, except at singular ones"

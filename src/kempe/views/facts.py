@@ -114,7 +114,7 @@ class SystemFacts(Report):
         if not equations:
             return dof if loops else f"{dof} (a tree, no loops)"
         constraints = system._mechanism.constraints.values()
-        declared = sum(c.equations(system.dim) > 0 for c in constraints)
+        declared = sum(c.count_equations(system.dim) > 0 for c in constraints)
         what = [
             format_count(n, name) for n, name in ((loops, "loop"), (declared, "constraint")) if n
         ]
@@ -275,8 +275,8 @@ def _describe_constraint(system: Model, c: Declared) -> dict[str, Any]:
         "parent": c.parent,
         "child": c.child,
         "length": length,
-        "equations": c.equations(system.dim),
-        "one_sided": c.bounds(system.dim),
+        "equations": c.count_equations(system.dim),
+        "one_sided": c.count_bounds(system.dim),
         "says": evaluate_number_fields(c.of, system.structure.parameters).sentence,
     } | ({"of": list(reads)} if (reads := c.of.coordinate_names) else {})
 

@@ -310,7 +310,7 @@ def plot_path(
 
 
 def _choose_marker_spacing(count: int, k: int) -> tuple[int, int]:
-    """The first of `count` points that is marked on curve k, and how many lie between two marks."""
+    """Choose the first of `count` points that is marked on curve k, and how many lie between two marks."""
     every = max(1, count // 8)
     return (k * every // len(MARKERS)) % max(count, 1), every
 

@@ -56,7 +56,7 @@ def plot_workspace(workspace: Workspace, at: Any = None, ax: Any = None) -> Any:
         )
     if d == 2:
         if at is not None:
-            raise InputError("at is for slices of a workspace in space")
+            raise InputError("at= chooses a slice of a workspace in space; this one is planar")
         axes = page.make_figure(5.6, 4.6).add_subplot() if ax is None else page.check_axes(ax)[0]
         _draw_slice(workspace, axes, counts, 0, 1, counts.max(initial=1))
         _add_colour_bar(workspace, axes, [axes])

@@ -168,7 +168,7 @@ def read_map(path: Path) -> tuple[SampleCounts, str | None]:
         group = zarr.open_group(str(path), mode="r", zarr_format=3)
         made = json.loads(group.attrs["kempe"])
         if made.pop("checksum") != _compute_checksum(made):
-            raise ValueError("what made it is not what was written")
+            raise ValueError("the description of the map does not match its checksum")
         grid = Grid(**{k: tuple(made[k]) for k in ("low", "high", "cells", "axes", "names")})
         counts = read_array(group["counts"])
         for name in grid.axes:

@@ -165,7 +165,7 @@ def find_obstacle(system: Model, name: str) -> str | None:
                 f"frame {name!r} moves with coordinate {relation.of!r}, which follows several "
                 "others: no chain of its own leads there"
             )
-    if any(c.equations(system.dim) for c in system._mechanism.constraints.values()):
+    if any(c.count_equations(system.dim) for c in system._mechanism.constraints.values()):
         loops = pack_full_loops(system, False)
         for k, tie in enumerate(loops.ties):
             if tie.name in system._mechanism.constraints and moving & set(loops.list_columns(k)):

@@ -192,7 +192,7 @@ class SheetRecord(Sheet):
 
 
 def mix_paper_colour(colour: Any) -> tuple[float, float, float, float]:
-    """A colour of the drawings, with the paper mixed in where it is to be looked through."""
+    """Mix a colour of the drawings with that of the paper, for parts that are transparent."""
     pair: Any = colour
     if isinstance(colour, tuple):
         return (

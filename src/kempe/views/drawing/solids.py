@@ -264,7 +264,7 @@ class SolidRecord(Solids):
 
 @cache
 def make_circle(sides: int) -> Array:
-    """Corners and outward normals of a regular polygon about the unit circle (2, sides, 2)."""
+    """Make corners and outward normals of a regular polygon about the unit circle (2, sides, 2)."""
     angles = np.arange(sides) * (2 * np.pi / sides)
     angles = np.stack([angles, angles + np.pi / sides])
     return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
@@ -292,7 +292,7 @@ def parse_colour(colour: str) -> tuple[float, float, float]:
 
 
 def find_hull(points: Array) -> Array:
-    """Corners (k, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone
+    """Find the corners (k, 2) of the convex hull of points (n, 2), counterclockwise (Andrew's monotone
     chain, 1979).
     """
     if len(points) < 3:

@@ -43,7 +43,7 @@ def set_distance(sketch: Sketch, a: str, b: str, length: float) -> Sketch:
     bar = sketch.find_bar(a, b)
     if bar is None and not fixed:
         raise InputError(
-            f"{a} and {b} belong to no bar together: their distance follows from others"
+            f"{a} and {b} belong to no bar together: their distance follows from other dimensions"
         )
     held = {*sketch.grounded} - ({b} if fixed else set[str]())
     first = sketch.measure_distance(a, b)

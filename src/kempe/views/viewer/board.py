@@ -280,11 +280,11 @@ class BoardPage:
 
     def _use_select(self, at: Point, pin: str | None, bar: str | None) -> None:
         """Choose what was clicked."""
-        self._choose(pin or bar)
+        self._choose_part(pin or bar)
 
     def _use_pin(self, at: Point, pin: str | None, bar: str | None) -> None:
         """Place a pin, or choose the one that is there."""
-        self._choose(pin or self._place_pin(at))
+        self._choose_part(pin or self._place_pin(at))
 
     def _place_pin(self, at: Point) -> str:
         """Place a pin at the nearest point of the grid; return its name."""
@@ -297,24 +297,24 @@ class BoardPage:
         first = self.chosen[0] if self.chosen else None
         sketch = self.history.sketch
         if first is None or first not in {*sketch.pins, *sketch.bars}:
-            self._choose(pin or bar or self._place_pin(at))
+            self._choose_part(pin or bar or self._place_pin(at))
             return
         if first == pin or (bar is not None and first == bar):
-            self._choose(None)
+            self._choose_part(None)
             return
         if first in sketch.bars:
             sketch, pin = self._prepare_pin(sketch, at, pin)
             made = sketch.extend_bar(first, pin)
             self.history.add_step(made)
-            self._choose(made.find_bar(sketch.bars[first][0], pin))
+            self._choose_part(made.find_bar(sketch.bars[first][0], pin))
         elif bar is not None and first in sketch.pins:
             self.history.add_step(sketch.extend_bar(bar, first))
-            self._choose(None)
+            self._choose_part(None)
         else:
             sketch, pin = self._prepare_pin(sketch, at, pin)
             made, _ = sketch.add_bar(first, pin)
             self.history.add_step(made)
-            self._choose(pin)
+            self._choose_part(pin)
 
     def _prepare_pin(self, sketch: Sketch, at: Point, pin: str | None) -> tuple[Sketch, str]:
         """Return a pin that was clicked, or a new one at the nearest point of the grid."""
@@ -325,12 +325,12 @@ class BoardPage:
         pin = self._need_pin(pin)
         sketch = self.history.sketch
         self.history.add_step(sketch.ground_pin(pin, pin not in sketch.grounded))
-        self._choose(pin)
+        self._choose_part(pin)
 
     def _use_slider(self, at: Point, pin: str | None, bar: str | None) -> None:
         """Let a pin slide: on a horizontal line, a vertical one, none; or in a slot of a bar."""
         if bar is not None:
-            self._choose(bar)
+            self._choose_part(bar)
             self.said = f"Click on the pin that slides in a slot of bar {bar}."
             return
         pin = self._need_pin(pin)
@@ -346,7 +346,7 @@ class BoardPage:
         else:
             made = sketch.stop_sliding(pin)
         self.history.add_step(made)
-        self._choose(pin)
+        self._choose_part(pin)
 
     def _use_crank(self, at: Point, pin: str | None, bar: str | None) -> None:
         """Choose the crank."""
@@ -355,12 +355,12 @@ class BoardPage:
             pin = self._need_pin(pin)
         made = sketch.set_crank_bar(bar) if bar is not None else sketch.set_crank(pin or "")
         self.history.add_step(made)
-        self._choose(bar or pin)
+        self._choose_part(bar or pin)
 
     def _use_delete(self, at: Point, pin: str | None, bar: str | None) -> None:
         """Delete what was clicked."""
         if pin or bar:
-            self._choose(pin or bar)
+            self._choose_part(pin or bar)
             self.delete_chosen()
 
     def _need_pin(self, pin: str | None) -> str:
@@ -369,7 +369,7 @@ class BoardPage:
             raise InputError("no pin is here: click on a pin")
         return pin
 
-    def _choose(self, name: str | None) -> None:
+    def _choose_part(self, name: str | None) -> None:
         """Choose a pin or a bar; None for nothing."""
         self.chosen = () if name is None else (name,)
 
@@ -404,7 +404,7 @@ class BoardPage:
             self.history.add_step(self.history.sketch.move_pin(self.dragged, at), key)
         if phase == "end":
             if self.tool != "bar":
-                self._choose(self.dragged)
+                self._choose_part(self.dragged)
             self.dragged = ""
             self.history.end_step()
 

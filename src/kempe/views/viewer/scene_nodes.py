@@ -627,7 +627,7 @@ class Drawn:
 
 
 def _make_shape(part: RigidPart) -> Shape:
-    """A part as a shape."""
+    """Make a shape of a part."""
     corners = part.corners[part.triangles].reshape(-1, 3)
     colours = _to_bytes(part.colours)
     glb = write_glb(corners, compute_soft_normals(corners), np.repeat(colours, 3, axis=0))

@@ -143,7 +143,7 @@ def list_possible_motions(session: Session) -> tuple[str, ...]:
     rows = [r for c in system.mechanism.constraints.values() for r in c.of.list_rows(system.dim)]
     rolls = any(r.velocity for r in rows)
     falls = len(system.parent) == 1 and any(
-        c.bounds(system.dim) for c in system.mechanism.constraints.values()
+        c.count_bounds(system.dim) for c in system.mechanism.constraints.values()
     )
     have = {
         "whole motion": freedoms == 1 and not rolls,
@@ -377,13 +377,13 @@ class Session:
         self._change_dimensions({name: float(value)})
 
     def reset_dimensions(self) -> None:
-        """Set all parameters to their first values; where that leads nowhere, go to the first
-        configuration.
+        """Set all parameters to their first values; if the loops do not close on the way, go to the
+        first configuration.
         """
         self._change_dimensions(dict(self.first.structure.parameters))
         closed = not self.status
         self._take_system(self.first, self.q if closed else np.array(self.home))
-        self.status = "dimensions as at first" + ", and the configuration" * (not closed)
+        self.status = "dimensions reset" + ", and the configuration" * (not closed)
 
     def _change_dimensions(self, wanted: dict[str, float]) -> None:
         """Lead parameters to these values in steps, as far as the loops close."""
