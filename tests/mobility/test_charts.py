@@ -130,7 +130,7 @@ def test_preferred_coordinates_come_first_or_are_refused():
         s.independent(q, prefer=s.structure.velocity_names[:3])
     with pytest.raises(UnknownNameError):
         s.independent(q, prefer=["nobody"])
-    with pytest.raises(InputError, match="not closed"):
+    with pytest.raises(InputError, match="does not close the loops"):
         s.independent(q + 0.1)
 
 
