@@ -11,8 +11,12 @@ import pytest
 from command import Result
 
 import kempe
+from kempe import units
 from kempe.description.length_units import convert_unit
-from kempe.errors import KempeError
+from kempe.errors import InputError, KempeError
+from kempe.library import list_models
+from kempe.model.characteristic_length import compute_characteristic_length
+from kempe.model.configurations import list_units
 from kempe.units import name_lengths
 from kempe.views.facts import SystemFacts
 from kempe.words import InWords
@@ -309,3 +313,100 @@ def test_steps_do_not_depend_on_the_unit(name):
         one = metres.ik_step(q, wanted, tip, 0.004, keep_direction=bool(k % 2))
         two = millimetres.ik_step(q, scaled, tip, 0.004, keep_direction=bool(k % 2))
         np.testing.assert_allclose(one.q, two.q, rtol=0, atol=1e-9)
+
+
+# ---- shipped models in both units
+
+
+def list_scales(system):
+    """List by how much coordinates (nq,) of a system in metres grow in millimetres."""
+    unit = list_units(system)
+    return np.array([1e3 if unit[n] == "m" else 1.0 for n in system.coordinate_names])
+
+
+def ask_model(system, metres, k):
+    """Yield what verbs answer, with their numbers k times those of the same system in metres.
+
+    With each answer comes whether its configuration is determined: searches choose one of several,
+    and rounding can decide which.
+    """
+    rng = np.random.default_rng(len(metres.name))
+    scale = list_scales(metres) if k != 1.0 else 1.0
+    tip = metres.frame_names[-1]
+    home = metres.assemble().q
+    pose = metres.fk(home, tip)
+    far = pose.copy()
+    far[0, 3] += 7.0
+
+    def convert(X):
+        return X if k == 1.0 else in_millimetres(X)
+
+    yield system.fk(home * scale, tip)[:3, 3] / k, True
+    yield system.assemble(start=home * scale), True
+    for _ in range(3):
+        twist = rng.normal(size=6)
+        if metres.dim == 2:
+            twist[2:5] = 0.0
+        yield system.ik_step(home * scale, np.r_[k * twist[:3], twist[3:]], tip, dt=0.01), True
+    yield system.ik_step(home * scale, convert(pose), tip, dt=0.01), True
+    budget = kempe.Budget(starts=20)
+    yield system.ik(convert(pose), tip, start=home * scale, budget=budget), False
+    yield system.ik(convert(far), tip, start=home * scale, budget=budget), False
+    yield system.ik_path(convert(np.stack([pose, pose])), tip, start=home * scale), True
+    yield system.ik_path(convert(np.stack([pose, far])), tip, start=home * scale), False
+    yield system.mobility(home * scale).sentence, True
+    yield system.task_space(tip).status, True
+    with pytest.raises(InputError) as refused:
+        system.ik(convert(pose), tip, tolerance=-1.0)
+    yield str(refused.value), True
+
+
+@pytest.mark.parametrize("name", list_models())
+def test_shipped_models_answer_the_same_in_both_units(name):
+    metres, millimetres = kempe.load(name), kempe.load(name, unit="mm")
+    scale = list_scales(metres)
+    both = zip(ask_model(metres, metres, 1.0), ask_model(millimetres, metres, 1e3), strict=True)
+    for (one, fixed), (two, _) in both:
+        if isinstance(one, np.ndarray):
+            np.testing.assert_allclose(one, two, rtol=0, atol=1e-12)
+            continue
+        texts = [str(two)] if isinstance(two, str) else [*list_texts(two)]
+        wrong = [line for t in texts for line in t.split("\n")]
+        assert not [t for t in wrong if METRES.search(re.sub('src="[^"]*"', "", t))]
+        if isinstance(one, str):
+            assert mask_numbers(one) == mask_numbers(two)
+            continue
+        assert mask_numbers(str(one.status)) == mask_numbers(str(two.status))
+        if fixed:
+            np.testing.assert_allclose(two.q, one.q * scale, rtol=1e-7, atol=1e-6)
+
+
+def test_chains_of_slides_have_a_metre_as_their_length():
+    """A body without lengths of its own moves by metres: 7 m are a jump of 7 lengths in any unit."""
+    for name in ("joint_free", "joint_planar", "joint_translation", "slider"):
+        for unit in ("m", "mm", "in"):
+            system = kempe.load(name, unit=unit)
+            metre = 1.0 / float(units.METRES[unit])
+            assert compute_characteristic_length(system) == pytest.approx(metre)
+
+
+def test_default_tolerances_are_lengths():
+    """Of poses that are read, and of all solutions; what is refused names the unit."""
+    system = kempe.load("puma560", unit="mm")
+    poses = kempe.convert.to_maximal(system, system.mid)
+    poses[2, :3, 3] += 5e-4
+    assert np.abs(kempe.convert.from_maximal(system, poses) - system.mid).max() < 1e-9
+    poses[2, :3, 3] += 5e-2
+    with pytest.raises(InputError, match=r"by 0.0875 mm; at most 0.001 mm is read"):
+        kempe.convert.from_maximal(system, poses)
+    with pytest.raises(InputError, match="in millimetres and radians"):
+        system.ik_all(system.fk(system.mid, "tool"), "tool", tolerance=0.0)
+    found = system.ik_all(system.fk(system.mid, "tool"), "tool")
+    assert found.problem.tolerance == pytest.approx(1e-6)
+    assert found.problem.angular == pytest.approx(1e-9)
+
+
+def test_shapes_of_arrays_in_messages_are_no_units():
+    assert name_lengths("it must be (m, n), in (m, rad) or [m]", "mm") == (
+        "it must be (m, n), in (mm, rad) or [mm]"
+    )

@@ -25,6 +25,7 @@ from kempe.errors import (
     format_value,
 )
 from kempe.status import Status
+from kempe.units import METRES, name_lengths
 from kempe.words import format_count
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -72,13 +73,24 @@ def explain_errors(function: Function, fast: bool = False) -> Function:
     def call_function(*args: Any, **options: Any) -> Any:
         try:
             return run(*args, **options)
-        except KempeError:
+        except KempeError as error:
+            _name_lengths_of_error(error, args)
             raise
         except FOREIGN as error:
             blame_argument(function, args, options, error)
             raise
 
     return call_function  # type: ignore[return-value]
+
+
+def _name_lengths_of_error(error: KempeError, args: tuple[Any, ...]) -> None:
+    """Name lengths in an error by the unit of the system or mechanism that was asked."""
+    owner: Any = args[0] if args else None
+    if not isinstance(getattr(owner, "unit", None), str):
+        owner = getattr(owner, "system", None)  # of an answer, or of a part of a system
+    unit = getattr(owner, "unit", None)
+    if isinstance(unit, str) and unit in METRES and isinstance(error.args[0], str):
+        error.args = (name_lengths(error.args[0], unit), *error.args[1:])
 
 
 def raise_interrupted(verb: Callable[Options, Kept]) -> Callable[Options, Kept]:

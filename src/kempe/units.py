@@ -50,7 +50,7 @@ def make_tolerance(tolerance: float, unit: str) -> tuple[float, float]:
 
 _IN_TEXT = re.compile(
     r"(?<=[\d)]\ )m(?=$|[,.;:)\]/^²³<]|\s(?!=))"  # 0.5 m, (1, 2) m, 2 m/s, 3 m^2
-    r"|(?<=[\[(])m(?=[\],])"  # [m], (m, rad)
+    r"|(?<=[\[(])m(?=[\])]|, rad)"  # [m], (m, rad); an array (m, n) has no unit
     r"|(?<=\w\ )m(?=\ (?:apart|away|a\ rad)\b)"  # l1 m apart
     r"|\bmetres\b"
 )

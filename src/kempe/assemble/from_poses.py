@@ -35,12 +35,13 @@ from kempe.model.implicit_form import (
 from kempe.model.model import Model
 from kempe.poses import Placement, check_poses, place
 from kempe.spatial import Array
+from kempe.units import make_tolerance
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
 
 READ = 1e-6
-"""Metres and radians by which poses may violate a joint and still be read."""
+"""Metres and radians by which poses may violate a joint and still be read; see `make_tolerance`."""
 STARTS = 64
 """Starts from which the coordinates of a joint are searched for that are not read off in closed
 form."""
@@ -74,7 +75,8 @@ def from_maximal(
         Configuration (..., nq) to which angles and signs of quaternions are nearest (default:
         `System.mid`).
     tolerance
-        Largest violation of a joint, constraint or coupling in metres or radians (default: 1e-6).
+        Largest violation of a joint, constraint or coupling in the unit of the system
+        or radians (default: 1e-6 m and 1e-6 rad).
 
     Returns
     -------
@@ -104,11 +106,13 @@ def from_maximal(
     array([0.1, 0.2])
     """
     poses = read_poses(system, poses)
-    tolerance = READ if tolerance is None else tolerance
+    linear, tolerance = (
+        make_tolerance(READ, system.unit) if tolerance is None else (tolerance, tolerance)
+    )
     start = None if start is None else read_start(system, start)
     if start is not None:
         refuse_large_numbers(system, start, "start")
-    _refuse_no_poses(system, poses, tolerance)
+    _refuse_no_poses(system, poses, linear, tolerance)
     lead = broadcast_shapes(
         {"poses": poses.shape[:-3], "start": () if start is None else start.shape[:-1]}
     )
@@ -120,6 +124,7 @@ def from_maximal(
         _refuse_violations(
             f"joint {name!r} ({joints[name].type.type_name})",
             {"m": length, "rad": angle},
+            linear,
             tolerance,
         )
     values = {
@@ -133,12 +138,12 @@ def from_maximal(
     for r in relations:
         off = {"rad" if r.turns else "m": measure_violation(r, values)}
         _refuse_violations(
-            f"coordinate {r.name!r}, which is tied to others or held,", off, tolerance
+            f"coordinate {r.name!r}, which is tied to others or held,", off, linear, tolerance
         )
     q = np.empty((*lead, system.nq))
     for i, name in enumerate(system.coordinate_names):
         q[..., i] = values[name]
-    _refuse_constraints(system, poses, q, tolerance)
+    _refuse_constraints(system, poses, q, linear, tolerance)
     return q
 
 
@@ -407,7 +412,7 @@ def _remove_full_turns(off: Array, turns: bool) -> Array:
 # ---- poses that are refused
 
 
-def _refuse_no_poses(system: Model, poses: Array, tolerance: float) -> None:
+def _refuse_no_poses(system: Model, poses: Array, linear: float, tolerance: float) -> None:
     """Refuse matrices that are no poses, turned particles, and poses outside the plane."""
     R = poses[..., :3, :3]
     p = poses[..., :3, 3]
@@ -420,11 +425,14 @@ def _refuse_no_poses(system: Model, poses: Array, tolerance: float) -> None:
             raise InputError(
                 f"{subject}: a particle has no orientation; its rotation must be the identity"
             )
-        if system.dim == 2 and np.any(np.maximum(np.abs(p[..., i, 2]), tilt[..., i]) > tolerance):
+        away, tilted = np.abs(p[..., i, 2]) > linear, tilt[..., i] > tolerance
+        if system.dim == 2 and np.any(away | tilted):
             raise InputError(f"{subject} leaves the plane")
 
 
-def _refuse_constraints(system: Model, poses: Array, q: Array, tolerance: float) -> None:
+def _refuse_constraints(
+    system: Model, poses: Array, q: Array, linear: float, tolerance: float
+) -> None:
     """Refuse poses, with the configurations read off them, that violate a declared constraint."""
     if not system._mechanism.constraints:
         return
@@ -438,7 +446,7 @@ def _refuse_constraints(system: Model, poses: Array, q: Array, tolerance: float)
             if n == name and what != "relation":
                 rows.setdefault(units[i], []).append(i)
         sizes = {unit: np.linalg.norm(off[..., at], axis=-1) for unit, at in rows.items()}
-        _refuse_violations(f"constraint {name!r} ({made.kind})", sizes, tolerance)
+        _refuse_violations(f"constraint {name!r} ({made.kind})", sizes, linear, tolerance)
 
 
 def _refuse_held_rotations(system: Model, values: dict[str, Array], tolerance: float) -> None:
@@ -458,17 +466,25 @@ def _refuse_held_rotations(system: Model, values: dict[str, Array], tolerance: f
                 found = spatial.quat_wxyz_to_matrix(np.stack([values[n] for n in four], axis=-1))
                 turn = spatial.log_so3(spatial.quat_wxyz_to_matrix(spatial.unit(quat)).T @ found)
                 subject = f"joint {joint.name!r} ({joint.type.type_name}) is locked"
-                _refuse_violations(subject, {"rad": np.linalg.norm(turn, axis=-1)}, tolerance)
+                _refuse_violations(
+                    subject, {"rad": np.linalg.norm(turn, axis=-1)}, tolerance, tolerance
+                )
 
 
-def _refuse_violations(subject: str, sizes: Mapping[str, Array], tolerance: float) -> None:
-    """Refuse violations `sizes` (...), by unit, that exceed the tolerance."""
-    parts = [(float(np.abs(x).max(initial=0.0)), unit) for unit, x in sizes.items()]
-    if any(size > tolerance for size, _ in parts):
-        said = " and ".join(
-            f"{size:.3g} {unit}".removesuffix(" 1") for size, unit in parts if size > tolerance
+def _refuse_violations(
+    subject: str, sizes: Mapping[str, Array], linear: float, tolerance: float
+) -> None:
+    """Refuse violations `sizes` (...), by unit, that exceed the tolerance of lengths or of others."""
+    parts = [
+        (float(np.abs(x).max(initial=0.0)), unit, linear if unit == "m" else tolerance)
+        for unit, x in sizes.items()
+    ]
+    beyond = [part for part in parts if part[0] > part[2]]
+    if beyond:
+        said = " and ".join(f"{size:.3g} {unit}".removesuffix(" 1") for size, unit, _ in beyond)
+        most = " and ".join(
+            dict.fromkeys(f"{most:g} {unit}".removesuffix(" 1") for _, unit, most in beyond)
         )
         raise InputError(
-            f"the poses violate {subject} by {said}; at most {tolerance:g} is read; project them "
-            "first"
+            f"the poses violate {subject} by {said}; at most {most} is read; project them first"
         )

@@ -23,21 +23,18 @@ from kempe.arguments import (
     numbers,
 )
 from kempe.arrays import read_reals
-from kempe.description.length_units import convert_to_metres
 from kempe.errors import InputError, UnknownNameError, format_value
 from kempe.forward.fk import fk
 from kempe.joints import Q, R
 from kempe.model.configurations import (
     FIT,
-    list_units,
     make_q,
     read_one_q,
-    read_q,
     refuse_other_follower,
 )
 from kempe.model.coordinates import Follower, format_coordinate_name
+from kempe.model.in_metres import InMetres
 from kempe.spatial import Array
-from kempe.units import METRE, METRES, scale_lengths
 from kempe.words import format_count
 
 if TYPE_CHECKING:
@@ -407,7 +404,7 @@ class Correspondence:
         self, system: Model, model: LibraryModel, tolerance: float = FIT, partial: bool = False
     ):
         library = _find_library(model)
-        self._in_unit = _Metres(system)
+        self._in_unit = InMetres(system)
         """Conversion of the system's slides, of which all else here is in metres."""
         self.system = system = self._in_unit.system
         self.library = library.name
@@ -795,51 +792,6 @@ def _check_columns(J: Array, nv: int) -> None:
         raise InputError(f"jacobian has shape {J.shape}; it must be (..., m, {nv})")
 
 
-class _Metres:
-    """A system in metres, as other libraries have it, and conversions of its configurations.
-
-    A system that declares no other unit is left alone.
-    """
-
-    def __init__(self, system: Model):
-        self.given = system
-        self.system = system
-        if system.unit == METRE:
-            return
-        made: Any = type(system)
-        self.system = made(convert_to_metres(system.mechanism))
-        self._factor = METRES[system.unit]
-        unit = list_units(system)
-        self._q = [k for k, n in enumerate(system.coordinate_names) if unit[n] == system.unit]
-        names = system.structure.velocity_names
-        self._v = [k for k, n in enumerate(names) if unit[n] == system.unit]
-
-    def read_q(self, q: Any, read: Callable[[Model, Any], Array] = read_q) -> Array:
-        """Read configurations (..., nq) of the given system, and return them in metres."""
-        return self._scale(read(self.given, q), "_q", 1)
-
-    def write_q(self, q: Array) -> Array:
-        """Return configurations (..., nq) in the unit of the given system."""
-        return self._scale(q, "_q", -1)
-
-    def convert_v(self, v: Array) -> Array:
-        """Return velocities (..., nv) of the given system in metres per second."""
-        return self._scale(v, "_v", 1)
-
-    def write_v(self, v: Array) -> Array:
-        """Return velocities (..., nv) in the unit of the given system."""
-        return self._scale(v, "_v", -1)
-
-    def _scale(self, x: Array, slides: str, power: int) -> Array:
-        """Return numbers (..., n) by coordinate with those of slides multiplied."""
-        if self.system is self.given:
-            return x
-        out = np.array(x)
-        at = getattr(self, slides)
-        out[..., at] = scale_lengths(out[..., at], self._factor**power)
-        return out
-
-
 # ---- one call each
 
 
@@ -1115,7 +1067,7 @@ def to_joint_state(
     >>> kempe.convert.to_joint_state(arm, [0.1, 0.2], message).position
     [0.2, 0.1]
     """
-    metres = _Metres(system)
+    metres = InMetres(system)
     system = metres.system
     q = metres.read_q(q, read_one_q)
     laws = {name: Follower(name, 1.0, 0.0) for name in system.coordinate_names}
@@ -1196,7 +1148,7 @@ def from_joint_state(
     array([0. , 0.2])
     """
     given: Any = message
-    metres = _Metres(system)
+    metres = InMetres(system)
     system = metres.system
     q = metres.write_q(make_q(system, given, None if base is None else metres.read_q(base)))
     if not velocity:

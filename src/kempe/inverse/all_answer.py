@@ -31,6 +31,7 @@ from kempe.numerics.rank import Level, Spectrum
 from kempe.report import ROWS, Table, by_code
 from kempe.spatial import Array
 from kempe.status import Status, to_status
+from kempe.units import METRES
 from kempe.words import Quantity, format_count
 
 if TYPE_CHECKING:
@@ -70,7 +71,8 @@ def list_goals(solutions: Solutions) -> list[tuple[Any, Any, Any]]:
     problem = solutions.problem
     lead = solutions._lead
     X = problem.targets[0] if lead is None else problem.targets.reshape(*lead, 1, 4, 4)
-    allowed = (problem.tolerance, max(problem.tolerance, problem.angular))
+    rounding = problem.tolerance * float(METRES[solutions.system.unit])
+    allowed = (problem.tolerance, max(rounding, problem.angular))
     made = make_target_constraints(problem.frame, problem.task, problem.axis, X)
     return [(Task(solutions.system, c), None, allowed) for c in made]
 

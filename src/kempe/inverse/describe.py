@@ -35,6 +35,7 @@ from kempe.kernels.closed_form.analytic_layout import AT_REST, COUPLED, PLANE, X
 from kempe.kernels.forward.table_layout import SLIDE
 from kempe.report import Report
 from kempe.spatial import Array
+from kempe.units import name_lengths
 from kempe.words import format_count, format_topics, join_words
 
 if TYPE_CHECKING:
@@ -467,7 +468,7 @@ def describe_plan(
         what,
         lines.names,
         kinds,
-        list_axis_relations(lines),
+        tuple(name_lengths(list_axis_relations(lines), system.unit)),
         list_steps(plan, frozenset(given)),
         bound_solutions(plan),
         plan.method.word,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -41,13 +41,14 @@ from kempe.kernels.servo.servo_layout import ANSWER, FRACTION
 from kempe.kernels.servo.step_constants import BESIDE, NEAR, REACHED, SLOW
 from kempe.model.characteristic_length import compute_characteristic_length
 from kempe.model.configurations import read_q
+from kempe.model.in_metres import convert_system_to_metres
 from kempe.model.model import bind_call, keep_answers, store_answer
 from kempe.model.own_tree import remove_cut_marks
 from kempe.poses import correct_rotations, read_pose_array
 from kempe.report import by_code
 from kempe.spatial import Array, log_so3
 from kempe.status import Status
-from kempe.units import from_metres
+from kempe.units import METRE, METRES, from_metres, scale_lengths
 
 if TYPE_CHECKING:
     from kempe.equations.tasks import Task
@@ -190,11 +191,20 @@ def ik_step(
         steps = bind_call(system, "ik_step", None, lambda: TaskSteps(system))
         return steps.take_step(q, wanted, dt, speed, default, damping)
     name = system.structure.frame_name(frame)
-    if (
+    constrained = (
         has_velocity_constraints(system)
         or find_obstacle(system, name)
         or pack_one_sided_rows(system).declared
-    ):
+    )
+    if system.unit != METRE and (constrained or _has_slides(system, name)):
+        motion = _parse_motion(wanted)
+        options = {"damping": damping, "keep_direction": keep_direction, "weights": w}
+        step = _take_step_in_metres(
+            system, q, motion, name, dt, None if default else speed, options
+        )
+        if step is not None:
+            return step
+    if constrained:
         return _make_constrained_step(
             system, q, wanted, name, dt, speed, default, damping, keep_direction, w
         )
@@ -237,7 +247,7 @@ class BoundStep:
         ).astype(np.int64)
         turns = system.structure.coordinates.angular[chain.v_index]
         slides = [k in place and not turns[k] for k in range(n)]
-        # where a joint slides, its velocity and the twist are weighed in the system's unit
+        # a system with slides is converted to metres, unless it cannot be: see `_take_step_in_metres`
         metre = 1.0 if any(slides) else from_metres(1.0, system.unit)
         self.units = np.append(np.full(3, 1.0 / metre), np.ones(3))
         """Weights (6,) of a twist that count 1 m as 1 rad."""
@@ -609,6 +619,52 @@ class TaskSteps:
         if bound.pins is None or bound.step is None:
             return None
         return bound.step.take_step(bound.pins, q, float(dt), speed, float(damping), default, near)
+
+
+def _has_slides(system: Model, frame: str) -> bool:
+    """Return whether a joint of the chain that moves the frame slides."""
+    return not system.structure.coordinates.angular[find_chain(system, frame).v_index].all()
+
+
+def _take_step_in_metres(
+    system: Model,
+    q: Array,
+    wanted: Array,
+    frame: str,
+    dt: float,
+    speed: Array | None,
+    options: dict[str, Any],
+) -> IkStep | None:
+    """Take the step of the same system in metres; None if the system cannot be converted.
+
+    Velocities of slides and angles are weighed against each other there, 1 m against 1 rad, so that
+    the step does not depend on the unit.
+    """
+    try:
+        metres = convert_system_to_metres(system)
+    except InputError:  # a Python function has its own unit
+        return None
+    unit = METRES[system.unit]
+    motion = wanted.copy()
+    linear = (slice(3),) if motion.ndim == 1 else (slice(3), 3)
+    motion[linear] = scale_lengths(motion[linear], unit)
+    fastest = None if speed is None else metres.convert_v(speed)
+    own = metres.read_q(q)
+    found = ik_step(metres.system, own, motion, frame, dt, velocity_limits=fastest, **options)
+    twist = found.twist.copy()
+    twist[:3] = scale_lengths(twist[:3], 1 / unit)
+    after = metres.write_q(found.q)
+    # rounding of the conversion must not lead out of the limits
+    at, v = system.structure.layout.vector_q, system.structure.layout.vector_v
+    low, high = np.minimum(system.lower[v], q[at]), np.maximum(system.upper[v], q[at])
+    after[at] = np.clip(after[at], low, high)
+    return replace(
+        found,
+        q=after,
+        velocity=metres.write_v(found.velocity),
+        twist=twist,
+        system=system,
+    )
 
 
 def _is_open(packed: Packed) -> bool:

@@ -51,6 +51,7 @@ from kempe.model.configurations import find_winding_angles
 from kempe.model.model import bind_call
 from kempe.poses import correct_rotations
 from kempe.spatial import Array
+from kempe.units import from_metres, make_tolerance
 from kempe.words import join_words
 
 if TYPE_CHECKING:
@@ -229,8 +230,12 @@ def solve_by_chain(problem: Problem) -> Solutions:
     threads = spend.threads
     watch = Watch(problem.options["time"], len(targets))
     plan = _plan_chain(problem, values)
-    wanted = TOLERANCE if problem.tolerance is None else read_solution_tolerance(problem.tolerance)
-    sure = max(wanted, estimate_attainable_error(targets, lines))
+    linear, angular = (
+        make_tolerance(TOLERANCE, system.unit)
+        if problem.tolerance is None
+        else (read_solution_tolerance(problem.tolerance),) * 2
+    )
+    sure = max(linear, estimate_attainable_error(targets, lines))
     packed_problem = ChainProblem(
         system,
         name,
@@ -239,7 +244,7 @@ def solve_by_chain(problem: Problem) -> Solutions:
         targets,
         None if single else problem.lead,
         sure,
-        wanted,
+        angular,
         watch,
     )
     turned_particle = bool(system.structure.table.at[name][2])
@@ -356,7 +361,8 @@ class BoundIkAll:
 
     def make_problem(self, target: Array) -> ChainProblem:
         """Make the problem that was solved."""
-        return ChainProblem(self.system, self.frame, "pose", Z_AXIS, target[None], None, TOLERANCE)
+        linear = from_metres(TOLERANCE, self.system.unit)
+        return ChainProblem(self.system, self.frame, "pose", Z_AXIS, target[None], None, linear)
 
     def __call__(self, target: Array, fixed: Mapping[str, Any] | None = None) -> Solutions | None:
         """Return all solutions for a pose (4, 4); None where it needs the general solver.

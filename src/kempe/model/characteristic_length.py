@@ -13,6 +13,7 @@ from kempe.joints import Fixed
 from kempe.model.model import keep_answers
 from kempe.model.own_tree import remove_cut_marks
 from kempe.model.primitive_table import Table
+from kempe.units import from_metres
 
 if TYPE_CHECKING:
     from kempe.model.model import Model, SystemType
@@ -33,9 +34,9 @@ from there."""
 
 @keep_answers
 def compute_characteristic_length(system: Model) -> float:
-    """Compute the characteristic length of a system: a typical length of a link in metres.
+    """Compute the characteristic length of a system: a typical length of a link.
 
-    The length is 1 if all lengths are 0.
+    It is in the unit of the system; 1 m if all lengths are 0.
 
     The median over the links of how far apart their joints are (for two, their distance): it
     depends neither on where loops are cut nor on where bodies have their origins. Where no link has
@@ -58,7 +59,7 @@ def compute_characteristic_length(system: Model) -> float:
         float(_compute_lengths(np.asarray(X)[..., :3, 3]).max()) for _, X, _ in table.at.values()
     ]
     real = [x for x in found if x > NOTHING * (1.0 + max(found))]
-    return float(np.mean(real)) if real else 1.0
+    return float(np.mean(real)) if real else from_metres(1.0, system.unit)
 
 
 def _choose_unit(v: np.ndarray) -> float:

@@ -31,6 +31,7 @@ from kempe.kernels.forward.table_layout import (
 from kempe.model.model import keep_answers
 from kempe.numerics.rank import Spectrum
 from kempe.spatial import Array
+from kempe.units import from_metres
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -117,7 +118,9 @@ def build_lines(system: Model, frame: str) -> Lines:
     )
 
     def scale_lines(h: Array, o: Array, tip: Array, even: Lines | None) -> Lines:
-        origin, length = _choose_unit(kinds, h, o, tip[:3, 3], chain.limits[:, at])
+        origin, length = _choose_unit(
+            kinds, h, o, tip[:3, 3], chain.limits[:, at], from_metres(1.0, system.unit)
+        )
         tip[:3, 3] = (tip[:3, 3] - origin) / length
         return Lines(
             kinds,
@@ -168,18 +171,18 @@ def _build_pose(rows: np.ndarray) -> Array:
 
 
 def _choose_unit(
-    kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array
+    kinds: np.ndarray, h: Array, o: Array, tip: Array, limits: Array, metre: float
 ) -> tuple[Array, float]:
     """Choose a point near the turning axes as origin, and a length as unit.
 
-    Where that is zero it is how far slides may go, and 1 without slides. Neither changes if the
+    Where that is zero it is how far slides may go, and a metre without slides. Neither changes if the
     points slide along their axes or the base moves. What slides go is no part of the way: where
     that is much longer, offsets by which axes miss each other would be a unit in which slides are
     immense.
     """
     turning = np.flatnonzero(kinds != SLIDE)
     if turning.size == 0:
-        return np.zeros(3), 1.0
+        return np.zeros(3), metre
     slides = np.flatnonzero(kinds == SLIDE)
     all_points = o
     o = o[turning]
@@ -201,8 +204,8 @@ def _choose_unit(
         )
         size = travel if alone else max(size, LITTLE * travel)
     elif alone:
-        return origin, 1.0
-    return origin, size if size > noise and math.isfinite(size) else 1.0
+        return origin, metre
+    return origin, size if size > noise and math.isfinite(size) else metre
 
 
 def _estimate_travel(ranges: Array, offsets: Array, tip: Array) -> float:

@@ -15,6 +15,7 @@ from kempe.errors import InputError, UnknownNameError, format_value
 from kempe.model.configurations import read_start
 from kempe.numerics.clock import TimeLimit
 from kempe.spatial import Array
+from kempe.units import METRES
 
 if TYPE_CHECKING:
     from kempe.model.model import Model
@@ -54,8 +55,9 @@ class ChainProblem:
     targets: Array = field(repr=False)
     lead: tuple[int, ...] | None
     tolerance: float
+    """Largest position error, in the unit of the system."""
     requested: float = 0.0
-    """The tolerance that was requested, which far away is below rounding."""
+    """The tolerance of angles that was requested [rad]; that of positions may be rounding."""
     watch: Watch | None = field(default=None, repr=False, compare=False)
     """What ends the work early; None where nothing does."""
     numbers: np.ndarray | None = field(default=None, repr=False, compare=False)
@@ -80,7 +82,8 @@ class ChainProblem:
     @property
     def angular(self) -> float:
         """Tolerance of angles [rad], which does not grow with the rounding of positions."""
-        return max(self.requested, min(self.tolerance, ANGULAR))
+        rounding = self.tolerance * float(METRES[self.system.unit])
+        return max(self.requested, min(rounding, ANGULAR))
 
 
 def read_solution_tolerance(tolerance: Any) -> float:
