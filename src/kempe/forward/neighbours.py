@@ -23,7 +23,7 @@ from kempe.arguments import (
     numbers,
 )
 from kempe.arrays import read_reals
-from kempe.errors import InputError, UnknownNameError, format_value
+from kempe.errors import InputError, UnknownNameError
 from kempe.forward.fk import fk
 from kempe.joints import Q, R
 from kempe.model.configurations import (
@@ -202,7 +202,7 @@ def _find_library(model: Any) -> Library:
         if all(hasattr(model, name) for name in library.attributes):
             return library
     allowed = " or ".join(f"a {x.model} of {x.name}" for x in LIBRARIES)
-    raise InputError(f"model is {format_value(model)}; it must be {allowed}")
+    raise InputError(f"model is {type(model).__name__}; it must be {allowed}")
 
 
 # ---- joints of one and the other
@@ -819,7 +819,7 @@ def _check_library(library: Library, model: Any) -> None:
     """Refuse a model of another library."""
     if _find_library(model) is not library:
         raise InputError(
-            f"model is {format_value(model)}; it must be a {library.model} of {library.name}"
+            f"model is {type(model).__name__}; it must be a {library.model} of {library.name}"
         )
 
 
