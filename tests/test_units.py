@@ -5,6 +5,7 @@ The same mechanisms in metres and in millimetres say the same but for numbers an
 
 import re
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -410,3 +411,16 @@ def test_shapes_of_arrays_in_messages_are_no_units():
     assert name_lengths("it must be (m, n), in (m, rad) or [m]", "mm") == (
         "it must be (m, n), in (mm, rad) or [mm]"
     )
+
+
+def test_messages_of_ros_are_in_metres():
+    """In any unit of the system: a message JointState has metres, as ROS has (REP 103)."""
+    message = SimpleNamespace(name=["d3", "q1"], position=[0.5, 0.1], velocity=[])
+    metres, millimetres = kempe.load("stanford"), kempe.load("stanford", unit="mm")
+    for read in (kempe.System.q, kempe.convert.from_joint_state):
+        one, two = read(metres, message), read(millimetres, message)
+        np.testing.assert_allclose(two, one * list_scales(metres), rtol=1e-15)
+    X, Y = metres.fk(message, "tool"), millimetres.fk(message, "tool")
+    np.testing.assert_allclose(in_millimetres(X), Y, atol=1e-9)
+    np.testing.assert_allclose(millimetres.fk([message], "tool")[0], Y)
+    assert millimetres.q({"d3": 0.5})[2] == 0.5

@@ -247,7 +247,7 @@ def read_mapping(given: Any) -> Mapping[str, Any] | None:
         names: Any = getattr(whole, "_fields", None)
         return None if names is None else dict(zip(names, whole, strict=True))
     kind = type(given).__name__
-    message = _read_joint_state(given)
+    message = read_joint_state(given)
     names = _find_labels(given) if message is None else message[0]
     if names is None or names == list(range(len(names))):
         return None
@@ -267,7 +267,7 @@ def read_mapping(given: Any) -> Mapping[str, Any] | None:
     return {name: np.asarray(whole[name]) if table else whole[name] for name in names}
 
 
-def _read_joint_state(given: Any) -> tuple[list[Any], list[float]] | None:
+def read_joint_state(given: Any) -> tuple[list[Any], list[float]] | None:
     """Read the names and positions of a message JointState; return None for other objects."""
     names: Any = getattr(given, "name", None)
     positions: Any = getattr(given, "position", None)

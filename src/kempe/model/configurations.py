@@ -20,6 +20,7 @@ from kempe.arrays import (
     is_real,
     is_sequence,
     list_named_rows,
+    read_joint_state,
     read_mapping,
     read_reals,
     unwrap_scalar,
@@ -40,7 +41,7 @@ from kempe.model.model import keep_answers
 from kempe.model.structural_order import make_sort_key
 from kempe.report import Table
 from kempe.spatial import Array
-from kempe.units import from_metres
+from kempe.units import METRE, METRES, from_metres, scale_lengths
 from kempe.values import find_angle_names
 from kempe.words import ByName, Quantity, format_count
 
@@ -102,7 +103,7 @@ def _read_configuration(
                 f"{word} is {format_value(q)}; it must be {WANTED}; a posture is system.q({format_value(q)})"
             )
         if q.__class__ is not np.ndarray or q.dtype.names:
-            coordinates = read_mapping(q)
+            coordinates = _read_named_values(system, q)
             if coordinates is not None:
                 if hasattr(q, "columns"):
                     coordinates = drop_other_columns(system, coordinates)
@@ -116,6 +117,17 @@ def _read_configuration(
         got = "a single number" if array.ndim == 0 else format_count(array.shape[-1], "coordinate")
         raise InputError(f"{word} has {got}; {system.name} needs {system.nq}: {names}")
     return array
+
+
+def _read_named_values(system: Model, given: Any) -> Mapping[str, Any] | None:
+    """Read values with names, as `read_mapping` does; those of a message JointState are in metres."""
+    values = read_mapping(given)
+    if system.unit == METRE or not values or read_joint_state(given) is None:
+        return values
+    unit, metre = list_units(system), 1 / METRES[system.unit]
+    return {
+        n: scale_lengths(x, metre) if unit.get(n) == system.unit else x for n, x in values.items()
+    }
 
 
 def warn_of_degrees_in_q(system: Model, q: Array, what: str) -> None:
@@ -307,7 +319,7 @@ def make_q(
     given = (
         _read_posture(system, coordinates)
         if isinstance(coordinates, str)
-        else read_mapping(coordinates)
+        else _read_named_values(system, coordinates)
     )
     if given is None:
         needed = "a dict by coordinate name, or the name of a posture"
