@@ -138,7 +138,7 @@ class IkStep(Answer):
         if inside := [name for name in limited if name not in outside]:
             why.append(f"at a limit: {', '.join(map(repr, inside))}")
         if outside:
-            why.append(f"outside its limits, led no further: {', '.join(map(repr, outside))}")
+            why.append(f"outside its limits, moved no further out: {', '.join(map(repr, outside))}")
         if self.held_apart and not (self.success and self.twist.size):
             said = ", ".join(f"{a!r} and {b!r}" for a, b in self.held_apart)
             why.append(f"kept apart: {said}")
@@ -148,6 +148,8 @@ class IkStep(Answer):
                 f"at the default speed (pi rad/s, {sliding:.3g} {self.system.unit}/s): "
                 f"{', '.join(map(repr, default))}"
             )
+        if not (why or self.success) and self.twist.size:
+            why.append("slowed: a singular configuration or a limit is near, or dt is long")
         return f"{text}: {'; '.join(why)}" if why else text
 
     def _select_claimed_rows(self) -> np.ndarray:
