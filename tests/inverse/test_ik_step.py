@@ -219,7 +219,9 @@ def test_limits_of_the_description_hold_and_what_is_outside_goes_no_further():
     fast = s.ik_step([0.0, 1.0], [0.0, 9.0, 0, 0, 0, 0], "tip", DT, weights=POSITION)
     assert fast.velocity[0] == 3.0 and fast.saturated == ("a",)
     rests = s.ik_step([2.5, 1.0], np.zeros(6), "tip", DT)
-    assert not rests.velocity.any() and "outside its limits, moved no further out: 'a'" in rests.status
+    assert (
+        not rests.velocity.any() and "outside its limits, moved no further out: 'a'" in rests.status
+    )
     J = s.jacobian([2.5, 1.0], "tip")
     for sign in (-1.0, 1.0):
         for keep in (False, True):

@@ -2517,8 +2517,9 @@ class Mechanism:
         name = body.name if isinstance(body, Body) else body
         if not isinstance(name, str) or name not in self.bodies:
             said = str(UnknownNameError("body", name, self.bodies, self.name))
-            called = isinstance(name, str) and where is None  # by a program, not by a file
-            advice = f"a new body is declared by body({name!r})" if called else ""
+            # by a program, not by a file, and not mistyped
+            new = isinstance(name, str) and where is None and "did you mean" not in said
+            advice = f"a new body is declared by body({name!r})" if new else ""
             checks.raise_problem(subject, said, where, advice)
         return self.bodies[name]
 
