@@ -668,5 +668,5 @@ def test_modes_at_a_time(t):
     np.testing.assert_allclose(np.sort(found.q[:, 3]), there, atol=1e-9)
     np.testing.assert_allclose(found.q[:, 0], 2.0 * t, atol=1e-9)
     assert np.all(found.judged.holds)
-    with pytest.raises(InputError, match="t is .*; it must be one time"):
+    with pytest.raises(InputError, match="t is .*; it must be one finite number"):
         m.build().assembly_modes({"t": [0.0, t]})

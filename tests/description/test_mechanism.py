@@ -431,14 +431,17 @@ FLAT = [
         lambda m: m.frame("f", "b", at=(1, 2, 3)),
         "frame 'f': z leaves the plane; planar systems take x, y and turns about z",
     ),
-    (lambda m: m.frame("f", "b", rpy=(0.1, 0, 0)), "frame 'f': rx leaves the plane"),
-    (lambda m: m.frame("f", "b", axis=(1, 0)), "frame 'f': align leaves the plane"),
-    (lambda m: m.frame("f", "b", quat_wxyz=(1, 0, 0, 0)), "frame 'f': quat_wxyz leaves the plane"),
-    (lambda m: m.revolute("j", "ground", "b", axis=(1, 0)), "joint 'j': align leaves the plane"),
+    (lambda m: m.frame("f", "b", rpy=(0.1, 0, 0)), "frame 'f': a turn about x leaves the plane"),
+    (lambda m: m.frame("f", "b", axis=(1, 0)), "frame 'f': the axis leaves the plane"),
+    (
+        lambda m: m.frame("f", "b", quat_wxyz=(1, 0, 0, 0)),
+        "frame 'f': the quaternion leaves the plane",
+    ),
+    (lambda m: m.revolute("j", "ground", "b", axis=(1, 0)), "joint 'j': the axis leaves the plane"),
     (lambda m: m.revolute("j", "ground", "b", at=(0, 0, 1)), "joint 'j': z leaves the plane"),
     (
         lambda m: m.revolute("j", "ground", "b", child_rpy=(0, 1, 0)),
-        "joint 'j': ry leaves the plane",
+        "joint 'j': a turn about y leaves the plane",
     ),
     (
         lambda m: m.prismatic("j", "ground", "b"),
@@ -457,8 +460,8 @@ FLAT = [
         lambda m: m.prismatic("j", "ground", "b", axis=(1, 0), child_axis=(0, 1)),
         "joint 'j': its axis differs on the two bodies",
     ),
-    (lambda m: m.planar("j", "ground", "b", axis=(0, 1)), "joint 'j': align leaves the plane"),
-    (lambda m: m.fixed("j", "ground", "b", axis=(0, 1)), "joint 'j': align leaves the plane"),
+    (lambda m: m.planar("j", "ground", "b", axis=(0, 1)), "joint 'j': the axis leaves the plane"),
+    (lambda m: m.fixed("j", "ground", "b", axis=(0, 1)), "joint 'j': the axis leaves the plane"),
     (
         lambda m: m.cylindrical("j", "ground", "b"),
         "joint 'j': a cylindrical joint does not exist in the plane; planar systems",

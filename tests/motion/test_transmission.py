@@ -256,7 +256,7 @@ def test_names_and_open_loops():
         compute_mechanical_advantage(system, q[0], "A", "P")
     with pytest.raises(UnsupportedError, match="bodies with a joint to the ground"):
         compute_pressure_angle(five_bar(), np.zeros(5), "C")
-    with pytest.raises(InputError, match="no joint of the coupler"):
+    with pytest.raises(InputError, match="not a joint of the coupler"):
         compute_pressure_angle(system, q[0], "C", coupler="A")
     twin = Mechanism("twin", dim=2)
     twin.revolute("x", twin.ground, twin.body("x"))

@@ -61,7 +61,7 @@ def test_wrong_calls():
         arm.task_space("nowhere")
     with pytest.raises(InputError, match="task is 'size'"):
         arm.task_space("e", task="size")
-    with pytest.raises(InputError, match="not closed"):
+    with pytest.raises(InputError, match="does not close the loops"):
         bar.task_space("coupler_point", np.full(4, 0.2))
     with pytest.raises(InputError, match="leave it out"):
         arm.task_space(tasks.Position("e", (0.1, 0.1)), task="pose")
