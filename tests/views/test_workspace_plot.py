@@ -43,7 +43,7 @@ def test_colours_read_in_grey():
     assert (np.diff(grey) < 0).all() and grey[0] - grey[-1] > 0.5
 
 
-def test_chooses a slice_go_through_the_point():
+def test_slices_go_through_the_point():
     point = (0.1, -0.2, 0.3)
     axes = SPACE.plot(at=point)
     at = SPACE.map.grid.locate_cells(np.array(point))[0]
@@ -78,7 +78,7 @@ def test_a_line_goes_around_cells_where_no_boundary_is_known():
     assert np.minimum(np.abs(away - 0.9), np.abs(away - 0.1)).max() < 3 * part.resolution
 
 
-def test_chooses a slice_show_the_boundary_of_a_solid():
+def test_slices_show_the_boundary_of_a_solid():
     """A shell of radii 0.2 and 0.8, cut through its middle: circles, and no line around the cells
     with samples.
     """
