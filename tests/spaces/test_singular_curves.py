@@ -258,7 +258,7 @@ def test_wrong_calls_are_explained():
     for arguments, error, words in [
         ({"hold": {"Z": 1.0}}, UnknownNameError, "Z"),
         ({"hold": {"A": np.nan}}, InputError, "'A'.*finite"),
-        ({"hold": 3.0}, InputError, "hold is float"),
+        ({"hold": 3.0}, InputError, "hold is 3.0"),
         ({"orientation": [0.1, 0.2]}, InputError, "orientation.*one"),
         ({"orientation": np.nan}, InputError, "finite"),
         ({"budget": Budget(starts=3)}, InputError, "does not read"),
