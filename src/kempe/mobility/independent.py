@@ -363,8 +363,8 @@ def independent(
             "preferred"
         )
         raise InputError(
-            f"{given}; q has {format_count(p, 'degree')} of freedom here, so prefer at most {p} "
-            "different coordinates"
+            f"{given}; q has {format_count(p, 'degree')} of freedom here, so prefer at most "
+            f"{p}, each of them once"
         )
     least = _bound_quality(p, system.nv)
     if rows and _measure_quality(N, rows) < least:
