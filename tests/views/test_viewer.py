@@ -98,6 +98,33 @@ def test_a_pin_is_drawn_where_its_joint_is():
             assert np.allclose(moved.max(axis=0), own.max(axis=0), atol=0.3 * here.r)
 
 
+@pytest.mark.parametrize("name", some(("panda", "ur5", "iiwa14", "gen3", "irb6640"), 3))
+def test_bearings_of_an_arm_lie_side_by_side_on_their_axes(name):
+    """Also where axes meet in a point; the links are drawn alike from any configuration."""
+    arm = kempe.load(name)
+    here = RigidParts(arm, arm.mid)
+    plain = build_scene(arm, here.q)
+    for old, new in zip(plain.joints, here.scene.joints, strict=True):
+        off = new.centre - old.centre
+        assert np.allclose(np.cross(off, old.axis), 0.0, atol=1e-12)
+        assert np.allclose(new.F[:3, 3] - old.F[:3, 3], off)
+    places = np.array([j.centre for j in here.scene.joints])
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).min() > here.r
+    q = arm.random(0)
+    moved = here.compute_stretched_maps(q) @ np.linalg.inv(here.compute_stretched_maps(here.q))
+    pieces, anew = (here._record_pieces(here._build_scene(x)) for x in (here.q, q))
+    # how the faces of tubes and balls are turned differs: the means of all that has one name agree,
+    # but for handles, which are as long as the drawing is large
+    means = [dict[str, list[np.ndarray]]() for _ in range(2)]
+    for piece, carrier, there in zip(pieces, here.carrying, anew, strict=True):
+        corners = piece.corners @ moved[carrier, :3, :3].T + moved[carrier, :3, 3]
+        for found, points in zip(means, (corners, there.corners), strict=True):
+            found.setdefault(piece.name, []).extend(points)
+    for name, points in means[0].items():
+        off = np.mean(points, axis=0) - np.mean(means[1][name], axis=0)
+        assert np.abs(off).max() < 0.5 * here.r, name
+
+
 def parts_at(rigid: RigidParts, q: np.ndarray) -> np.ndarray:
     """Triangles (n, 3, 3) of what a page shows at a configuration."""
     X, lengths = rigid.compute_places(q)
@@ -320,6 +347,17 @@ def test_written_glb_is_read_by_trimesh_as_it_was():
     assert np.allclose(mesh.triangles, corners.reshape(-1, 3, 3), atol=1e-6)
     assert np.allclose(mesh.vertex_normals, normals, atol=1e-6)
     assert np.array_equal(mesh.visual.vertex_colors, colours)
+
+
+@pytest.mark.parametrize("name", some(DRAWN, 4))
+def test_a_page_gets_the_triangles_of_a_drawing(name):
+    """Corners that are alike are sent once; the mirror image of a corner is another one."""
+    system = kempe.load(name)
+    for _, mesh in Drawn(system, system.mid).shapes:
+        sent = as_trimesh(mesh)
+        corners = mesh.corners[mesh.triangles]
+        assert len(sent.vertices) <= corners.shape[0] * 3
+        assert np.allclose(sent.triangles, corners, atol=1e-6 * max(1.0, np.abs(corners).max()))
 
 
 def test_shapes_that_a_page_cannot_hold_are_named():

@@ -4,7 +4,7 @@ frame; no matplotlib.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -257,6 +257,60 @@ def build_scene(system: Model, q: Array, drivers: tuple[str, ...] = ()) -> Scene
             SeenLink(k, next(iter(bodies)), bodies, frames, tuple(mine.get(k, ())), particle)
         )
     return Scene(system, q, tuple(links), tuple(joints), *_list_constraints(system, poses, number))
+
+
+BESIDE = 2.7
+"""Distance of a bearing from the centre of another one that it does not touch, in radii."""
+ROOM = 0.6
+"""Part of the way along its axis to the next point of its link that a bearing is moved at most."""
+
+
+def separate_bearings(scene: Scene, r: float) -> Scene:
+    """Move revolute joints along their axes to where their bearings of radius r [m] lie side by side.
+
+    The axes of some joints meet in a point, as in a wrist. Of these joints the one nearest to the
+    ground moves towards the other end of its parent, and the farthest one towards that of its child.
+    A revolute joint is the same anywhere on its axis.
+    """
+    near = 1e-6 * scene.size
+    joints = list(scene.joints)
+    for k, joint in enumerate(scene.joints):
+        if joint.kind != "revolute":
+            continue
+        meets = {
+            link: any(
+                np.linalg.norm(scene.joints[n].find_pose_on(link)[:3, 3] - centre) < near
+                for n in scene.links[link].joints
+                if n != k
+            )
+            for link, centre in ((joint.parent, joint.F[:3, 3]), (joint.child, joint.centre))
+        }
+        if meets[joint.parent] == meets[joint.child]:
+            continue
+        free = joint.child if meets[joint.parent] else joint.parent
+        X = joint.find_pose_on(free)
+        points = scene.list_points(scene.links[free])
+        if free == 0:
+            points = np.concatenate([points, [next(iter(scene.links[0].bodies.values()))[:3, 3]]])
+        points = points[np.linalg.norm(points - X[:3, 3], axis=1) > near]
+        along = (points - X[:3, 3]) @ X[:3, 2]
+        along = along[np.abs(along) > near]
+        if len(along):
+            nearest = float(along[np.argmin(np.abs(along))])
+            by = float(np.sign(nearest)) * min(BESIDE * r, ROOM * abs(nearest))
+        elif len(points) or free == 0:  # the link lies across the axis
+            continue
+        else:
+            by = BESIDE * r
+        joints[k] = replace(joint, F=_shift_along_z(joint.F, by), M=_shift_along_z(joint.M, by))
+    return replace(scene, joints=tuple(joints))
+
+
+def _shift_along_z(X: Array, by: float) -> Array:
+    """Move a pose (4, 4) along its z axis by a length [m]."""
+    X = X.copy()
+    X[:3, 3] += by * X[:3, 2]
+    return X
 
 
 def _find_end_frame(mechanism: Mechanism, bodies: dict[str, Array]) -> dict[str, Array]:

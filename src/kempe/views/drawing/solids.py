@@ -36,6 +36,8 @@ class Solids:
     named: dict[str, list[int]] = field(default_factory=dict[str, list[int]])
     by_depth: bool = True
     """Whether what is drawn sorts faces by depth, where parts inside others would be seen."""
+    sides: int = SIDES
+    """Faces around a tube or ball."""
 
     def add_face(
         self,
@@ -78,7 +80,7 @@ class Solids:
         pieces: int = 0,
         caps: bool = True,
         edge: str = "",
-        sides: int = SIDES,
+        sides: int = 0,
         end_radius: float | None = None,
     ) -> None:
         """Add a tube from a to b (3,), cut into `pieces` along its length; with `end_radius` a
@@ -88,7 +90,7 @@ class Solids:
         if length < 1e-12:
             return
         X = spatial.align_z((b - a) / length)
-        round_, middle = make_circle(sides) @ X[:, :2].T
+        round_, middle = make_circle(sides or self.sides) @ X[:, :2].T
         pieces = pieces or (int(np.clip(length / (6 * radius), 1, 16)) if self.by_depth else 1)
         thinner = 0.0 if end_radius is None else radius - end_radius
         rings = [
@@ -114,35 +116,14 @@ class Solids:
         self.add_faces(name, corners.reshape(n, 4, 3), normals, colour)
 
     def add_ball(self, name: str, centre: Array, radius: float, colour: str) -> None:
-        """Add a sphere of 8 by 12 faces."""
-        lat = np.linspace(-np.pi / 2, np.pi / 2, 9)
-        lon = np.arange(13) * (2 * np.pi / 12)
-        p = np.stack(
-            [
-                np.outer(np.cos(lat), np.cos(lon)),
-                np.outer(np.cos(lat), np.sin(lon)),
-                np.outer(np.sin(lat), np.ones(13)),
-            ],
-            axis=-1,
-        )
-        self._add_bands(name, centre, radius, p, colour)
+        """Add a sphere."""
+        lat = np.linspace(-np.pi / 2, np.pi / 2, self.sides * 2 // 3 + 1)
+        self._add_bands(name, centre, radius, _make_sphere(lat, self.sides), colour)
 
     def add_bowl(self, name: str, centre: Array, radius: float, way: Array, colour: str) -> None:
-        """Add a hollow hemisphere on the side of the direction `way` (3,), of 4 by 12 faces."""
-        R = spatial.align_z(way)
-        lat = np.deg2rad(np.linspace(90.0, 5.0, 5))
-        lon = np.arange(13) * (2 * np.pi / 12)
-        p = (
-            np.stack(
-                [
-                    np.outer(np.cos(lat), np.cos(lon)),
-                    np.outer(np.cos(lat), np.sin(lon)),
-                    np.outer(np.sin(lat), np.ones(13)),
-                ],
-                axis=-1,
-            )
-            @ R.T
-        )
+        """Add a hollow hemisphere on the side of the direction `way` (3,)."""
+        lat = np.deg2rad(np.linspace(90.0, 5.0, self.sides // 3 + 1))
+        p = _make_sphere(lat, self.sides) @ spatial.align_z(way).T
         self._add_bands(name, centre, radius, p, colour)
 
     def _add_bands(self, name: str, centre: Array, radius: float, p: Array, colour: str) -> None:
@@ -220,6 +201,7 @@ class SolidRecord(Solids):
 
     pieces: list[DrawnPiece] = field(default_factory=list[DrawnPiece])
     by_depth: bool = False
+    sides: int = 24
 
     def add_face(
         self,
@@ -260,6 +242,19 @@ class SolidRecord(Solids):
                 (*parse_colour(colour), alpha),
             )
         )
+
+
+def _make_sphere(latitudes: Array, sides: int) -> Array:
+    """Make points (m, sides + 1, 3) of the unit sphere at latitudes (m,) [rad]."""
+    longitudes = np.arange(sides + 1) * (2 * np.pi / sides)
+    return np.stack(
+        [
+            np.outer(np.cos(latitudes), np.cos(longitudes)),
+            np.outer(np.cos(latitudes), np.sin(longitudes)),
+            np.outer(np.sin(latitudes), np.ones(sides + 1)),
+        ],
+        axis=-1,
+    )
 
 
 @cache

@@ -31,6 +31,12 @@ DETOUR = 1.76
 sqrt(3) and a bit."""
 LINK = 0.5
 """Radius of a link's tube in radii of a hinge."""
+STRONG = 0.64
+"""The same of a solid link, which tapers from one bearing to the next."""
+OF_ROOM = 0.3
+MOST = 1.8
+"""Radius of a solid bearing: as part of the distance to the next one on its links, and at most, in
+radii of a hinge."""
 HANDLE = 7.0
 """Length of the bar that stands for a link that has nothing but its joint."""
 BEYOND = 3.5
@@ -46,18 +52,36 @@ def choose_radius(scene: Scene) -> float:
     return max(min(OF_SIZE * scene.size, OF_LINK * short), LEAST * scene.size)
 
 
+def choose_bearing_radii(scene: Scene, r: float) -> list[float]:
+    """Choose the radius [m] of each joint: of a revolute one by the room for it, of others `r`.
+
+    The room is the distance to the next point on its links.
+    """
+    out: list[float] = []
+    for joint in scene.joints:
+        room = np.inf
+        for link in (joint.parent, joint.child):
+            off = scene.list_points(scene.links[link]) - joint.find_pose_on(link)[:3, 3]
+            away = np.linalg.norm(off, axis=1)
+            room = min(room, float(away[away > 1e-6 * scene.size].min(initial=np.inf)))
+        own = min(OF_ROOM * room, MOST * r)
+        out.append(max(own, r) if joint.kind == "revolute" else r)
+    return out
+
+
 def add_scene(solids: Solids, scene: Scene, r: float, configurations: Array | None) -> list[Array]:
     """Add all solids of a scene; return the polylines (n, 3) of its links."""
     skeleton: list[Array] = []
-    _add_ground(solids, scene, r, skeleton)
+    radii = [r] * len(scene.joints) if solids.by_depth else choose_bearing_radii(scene, r)
+    _add_ground(solids, scene, r, radii, skeleton)
     for link in scene.links[1:]:
-        _add_link(solids, scene, link, r, skeleton)
-    for joint in scene.joints:
+        _add_link(solids, scene, link, r, radii, skeleton)
+    for joint, own in zip(scene.joints, radii, strict=True):
         colour = style.mix_colours(DRIVER, style.PAPER, 0.45) if joint.driven else JOINT
-        SYMBOLS.get(joint.kind, _add_other_joint)(solids, scene, joint, r, colour, configurations)
+        SYMBOLS.get(joint.kind, _add_other_joint)(solids, scene, joint, own, colour, configurations)
         if joint.driven and joint.kind in TURNING:
-            _add_turning_arrow(solids, joint, r)
-        _add_gap(solids, joint, r)
+            _add_turning_arrow(solids, joint, own)
+        _add_gap(solids, joint, own)
     for name, _, ends, wrong in scene.rods:
         colour = OPEN if abs(wrong) > WRONG * scene.size else style.FAINT
         solids.add_tube(f"rod:{name}", ends[0], ends[1], 0.35 * r, colour)
@@ -190,14 +214,31 @@ def _connect_axes(A: Array, B: Array, use_a: bool, use_b: bool) -> Array:
 
 
 def _add_link(
-    solids: Solids, scene: Scene, link: SeenLink, r: float, skeleton: list[Array]
+    solids: Solids,
+    scene: Scene,
+    link: SeenLink,
+    r: float,
+    radii: list[float],
+    skeleton: list[Array],
 ) -> None:
-    """Add the solids of a link: tubes along its polylines, or a plate."""
+    """Add the solids of a link: tubes along its polylines, or a plate.
+
+    `radii` are those of the bearings of all joints [m].
+    """
     colour = style.choose_link_colour(link.number)
     name = f"link:{link.name}"
     drawn = list_link_lines(scene, link)
+    fill = style.mix_colours(colour, style.PAPER, 0.15)
     for line in drawn:
-        _add_pipe(solids, name, line, LINK * r, style.mix_colours(colour, style.PAPER, 0.15))
+        if solids.by_depth:
+            _add_pipe(solids, name, line, LINK * r, fill)
+            continue
+        ends = [_choose_thickness(scene, link, p, r, radii) for p in (line[0], line[-1])]
+        _add_pipe(solids, name, line, ends[0], fill, ends[1])
+        if len(link.joints) == 1 and any(
+            np.allclose(line[-1], X[:3, 3]) for X in link.frames.values()
+        ):
+            _add_flange(solids, name, line, 1.4 * ends[1], colour)
         if len(line) > 3 and np.allclose(line[0], line[-1]):
             solids.add_plate(name, line[:-1], colour, 0.22)
     skeleton += drawn
@@ -205,19 +246,56 @@ def _add_link(
         solids.add_ball(name, next(iter(link.bodies.values()))[:3, 3], 1.3 * r, colour)
         return
     for frame, X in link.frames.items():
-        _add_triad(solids, f"frame:{frame}", X, r)
+        _add_frame(solids, f"frame:{frame}", X, r)
         skeleton += [np.stack([X[:3, 3], X[:3, 3] + 4.5 * r * X[:3, axis]]) for axis in range(3)]
 
 
-def _add_pipe(solids: Solids, name: str, line: Array, thick: float, colour: str) -> None:
-    """Add a tube along a polyline (n, 3)."""
+def _choose_thickness(
+    scene: Scene, link: SeenLink, p: Array, r: float, radii: list[float]
+) -> float:
+    """Choose the radius [m] of a solid link at the end p (3,) of a line: by the bearing there, else
+    by the smallest one of the link.
+    """
+    at = [
+        radii[j]
+        for j in link.joints
+        if np.linalg.norm(scene.joints[j].find_pose_on(link.number)[:3, 3] - p) < 1e-6 * scene.size
+    ]
+    return STRONG * min(at or [radii[j] for j in link.joints] or [r])
+
+
+def _add_flange(solids: Solids, name: str, line: Array, radius: float, colour: str) -> None:
+    """Add the disc at the end of a line (n, 3) to which a tool is screwed."""
+    way = line[-1] - line[-2]
+    length = float(np.linalg.norm(way))
+    if length > radius:
+        solids.add_tube(
+            name, line[-1] - 0.3 * radius * way / length, line[-1], radius, colour, edge=INK
+        )
+
+
+def _add_pipe(
+    solids: Solids, name: str, line: Array, thick: float, colour: str, end: float | None = None
+) -> None:
+    """Add a tube along a polyline (n, 3), whose radius goes from `thick` to `end` [m]."""
     steps = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    for a, b, step in zip(line[:-1], line[1:], steps, strict=True):
+    part = np.cumsum([0.0, *steps]) / max(float(steps.sum()), 1e-300)
+    radius = (thick + ((thick if end is None else end) - thick) * part).tolist()
+    for k, step in enumerate(steps):
         if step > 1e-12:
-            solids.add_tube(name, a, b, thick, colour)
-    for p, before, after in zip(line[1:-1], steps[:-1], steps[1:], strict=True):
-        if min(before, after) > 1e-12:
-            solids.add_ball(name, p, thick, colour)
+            last = None if end is None else radius[k + 1]
+            solids.add_tube(name, line[k], line[k + 1], radius[k], colour, end_radius=last)
+    for k in range(1, len(line) - 1):
+        if min(steps[k - 1], steps[k]) > 1e-12:
+            solids.add_ball(name, line[k], radius[k], colour)
+
+
+def _add_frame(solids: Solids, name: str, X: Array, r: float) -> None:
+    """Add the three axes of a pose (4, 4); where they are shown on request, a dot."""
+    if solids.by_depth:
+        _add_triad(solids, name, X, r)
+    else:
+        solids.add_ball(name, X[:3, 3], 0.45 * r, INK)
 
 
 def _add_triad(solids: Solids, name: str, X: Array, r: float) -> None:
@@ -240,8 +318,10 @@ def _add_triad(solids: Solids, name: str, X: Array, r: float) -> None:
 # ---- ground
 
 
-def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -> None:
-    """Add ground symbols below the joints of the ground."""
+def _add_ground(
+    solids: Solids, scene: Scene, r: float, radii: list[float], skeleton: list[Array]
+) -> None:
+    """Add ground symbols below the joints of the ground, whose bearings have `radii` [m]."""
     link = scene.links[0]
     joints = [
         scene.joints[j]
@@ -253,9 +333,12 @@ def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -
     centres = remove_duplicates(
         np.array([*(j.find_pose_on(0)[:3, 3] for j in joints), *rods]).reshape(-1, 3)
     )
-    if len(centres) == 1:
+    alone = len(centres) == 1
+    above = 2.0
+    if alone:
+        r = max([radii[j] for j in link.joints] or [r])
         gap = float(np.linalg.norm(centres[0] - origin))
-        if 4 * r < gap < 2 * scene.size:
+        if (4 if solids.by_depth else 0.5) * r < gap < 2 * scene.size:
             _add_pipe(
                 solids,
                 "ground",
@@ -265,6 +348,7 @@ def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -
             )
             skeleton.append(np.array([origin, centres[0]]))
             centres = np.array([origin])
+            above = 0.0
     elif len(centres) == 2:
         _add_pipe(solids, "ground", centres, 0.4 * r, style.mix_colours(GROUND, style.PAPER, 0.35))
         skeleton.append(centres)
@@ -281,9 +365,25 @@ def _add_ground(solids: Solids, scene: Scene, r: float, skeleton: list[Array]) -
             )
             skeleton.append(centres[[*rim, rim[0]]])
     for frame, X in link.frames.items():
-        _add_triad(solids, f"frame:{frame}", X, r)
+        _add_frame(solids, f"frame:{frame}", X, r)
     for k, c in enumerate(centres):
-        _add_ground_symbol(solids, f"ground:{k}", c, r)
+        if alone and not solids.by_depth:
+            _add_base_plate(solids, f"ground:{k}", c, r, above)
+        else:
+            _add_ground_symbol(solids, f"ground:{k}", c, r)
+
+
+def _add_base_plate(solids: Solids, name: str, p: Array, r: float, above: float) -> None:
+    """Add the round plate on which an arm stands, and a foot where it is below p (3,).
+
+    `above` is the height of p above the plate in radii `r` [m].
+    """
+    z = np.array([0.0, 0.0, 1.0])
+    plate = p - above * r * z
+    fill = style.mix_colours(GROUND, style.PAPER, 0.35)
+    if above:
+        solids.add_tube(name, plate, p, 1.7 * r, fill, end_radius=0.9 * r)
+    solids.add_tube(name, plate - 0.5 * r * z, plate, 2.2 * r, fill, edge=GROUND)
 
 
 def _add_ground_symbol(solids: Solids, name: str, p: Array, r: float) -> None:

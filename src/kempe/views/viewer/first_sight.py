@@ -172,7 +172,7 @@ def _measure_regularity(system: Model, q: Array, frame: str, scale: float) -> Ar
 
 # ---- the camera
 
-FILL = 0.72
+FILL = 0.77
 """Part of the picture's width or height that what is drawn takes."""
 UPRIGHT = 0.75
 """Width by height of a picture up to which the panel may lie over it, from below, as on phones;

@@ -698,7 +698,7 @@ class Page:
         quat, place = split_poses(session.pose)
         self.gizmo = self.client.scene.add_transform_controls(
             "/target",
-            scale=0.22 * max(self.nodes.drawn.rigid.size, 1e-9),
+            scale=self.nodes.drawn.handle_size,
             active_axes=(True, True, not flat),
             disable_rotations=flat or session.task == "position",
             depth_test=False,
@@ -998,6 +998,7 @@ class Viewer(ServedPages):
         self.drawn = Drawn(
             session.system, session.q, None if session.motion is None else session.motion.q
         )
+        self.drawn.add_handles(session.pose)
         self._last = session
         super().__init__(port, self.system.name, "+y" if self.system.dim == 2 else "+z")
         self.drawn.place_camera(self.server.initial_camera)

@@ -23,7 +23,7 @@ from kempe.forward.fk import fk
 from kempe.model.configurations import integrate_velocity
 from kempe.spatial import Array
 from kempe.views.drawing import style, symbols
-from kempe.views.drawing.scene import Scene, SeenJoint, build_scene
+from kempe.views.drawing.scene import Scene, SeenJoint, build_scene, separate_bearings
 from kempe.views.drawing.solids import DrawnPiece, SolidRecord, make_fan, parse_colour
 from kempe.views.viewer.first_sight import fit_camera
 from kempe.words import format_count
@@ -106,7 +106,7 @@ class RigidParts:
     def __init__(self, system: Model, q: Array, like: RigidParts | None = None):
         self.system = system
         self.q = q
-        self.scene = scene = build_scene(system, q)
+        scene = build_scene(system, q)
         self.heads = [system.body_names.index(link.name) for link in scene.links]
         self.names = tuple(link.name for link in scene.links)
         self.rods = [
@@ -119,9 +119,15 @@ class RigidParts:
             self.r = choose_pin_radius(scene)
         else:
             self.r = SOLID * symbols.choose_radius(scene)
+        self.scene = scene = self._build_scene(q)
         self.slides = _list_slides(scene, self.r)
         self.parts = self._make_parts(scene, like)
         self.size = self._measure_diagonal() or scene.size
+
+    def _build_scene(self, q: Array) -> Scene:
+        """Build the scene at q (nq,), in space with bearings that lie side by side."""
+        scene = build_scene(self.system, q)
+        return scene if self.system.dim == 2 else separate_bearings(scene, self.r)
 
     def _measure_diagonal(self) -> float:
         """Measure the diagonal [m] of the box about all solids; 0 if there is none."""
@@ -219,7 +225,7 @@ class RigidParts:
             APART * rng.choice([-1.0, 1.0], system.nv) * rng.uniform(0.5, 1.0, system.nv),
         )
         second: dict[str, list[DrawnPiece]] = {}
-        for piece in self._record_pieces(build_scene(system, other)):
+        for piece in self._record_pieces(self._build_scene(other)):
             second.setdefault(piece.name, []).append(piece)
         moved = self.compute_stretched_maps(other) @ np.linalg.inv(X)
         by_name: dict[str, list[int]] = {}
@@ -479,8 +485,14 @@ SEEN = 0.25
 """How much is seen of a ghost, and of a surface that is laid over a system."""
 ABOVE = 3.0
 """Height of lines above a planar drawing, in radii of a pin."""
-PALE = (225, 228, 232)
-"""Colour of the lines of the floor."""
+PALE = (150, 155, 162)
+FINE = 0.6
+"""Colour and thickness of the lines of the floor, which are faint on light and on dark pages."""
+HANDLE = 0.22
+TIP = 1.35
+"""Size of the handles of a target in diagonals of the drawing, and how far their arrows go in
+their size.
+"""
 OPENING = {2: np.deg2rad(12.0), 3: np.deg2rad(45.0)}
 """Angle of the camera: what is planar is seen nearly without perspective, so that its layers lie on
 one another."""
@@ -498,6 +510,10 @@ SOFT = np.cos(np.deg2rad(35.0))
 """Cosine of the angle up to which neighbouring triangles are shaded as one round surface."""
 HASH = np.array([0x9E3779B97F4A7C1, 0x2545F4914F6CDD1D, 0x5851F42D4C957F2D])
 """Odd factors by which the whole coordinates of a place become one number."""
+NORMALS = 1e3
+"""Steps from 0 to 1 in which components of normals count as the same."""
+GLTF_TYPES = {"B": 5121, "I": 5125, "f": 5126}
+"""Numbers of glTF for types of numpy."""
 
 
 class Shape(NamedTuple):
@@ -511,8 +527,9 @@ class Drawn:
     """A system with its shapes, made once for all pages. `lost` says which meshes could not be
     shown.
 
-    Cameras have all configurations of a motion `way` (n, nq) in sight, if there is one. `like` is
-    the drawing of the system with other dimensions, of which is kept what does not change.
+    Cameras have all configurations of a motion `way` (n, nq) in sight, if there is one, and the
+    ends of the `handles` (k, 3) of a target. `like` is the drawing of the system with other
+    dimensions, of which is kept what does not change.
     """
 
     def __init__(
@@ -530,6 +547,7 @@ class Drawn:
             some = way[np.unique(np.linspace(0, len(way) - 1, SOME).round().astype(int))]
             shown = np.concatenate([shown, some])
         self.points = self.compute_extremes(shown)
+        self.handles = np.zeros((0, 3))
         self._like = None
 
     @cached_property
@@ -546,6 +564,9 @@ class Drawn:
                 for mesh in meshes.get(body, ()):
                     out.append(Shape(link.number, mesh._replace(X=head @ X @ mesh.X)))
                     covered.add(link.number)
+            # what is left of a link without some of its meshes may hang in the air
+            if any(said.startswith(f"{body}: ") for body in link.bodies for said in self.lost):
+                covered.discard(link.number)
         bare = (
             p
             for p in self.rigid.parts
@@ -618,7 +639,19 @@ class Drawn:
         """Find where a camera is that has the system in the picture, and where it looks (2, 3)."""
         away = UPWARDS if self.system.dim == 2 else ASIDE
         opening = OPENING[self.system.dim]
-        return fit_camera(self.points, away, self.upright, opening, aspect)
+        points = np.concatenate([self.points, self.handles])
+        return fit_camera(points, away, self.upright, opening, aspect)
+
+    def add_handles(self, X: Array) -> None:
+        """Have the handles of a target at the pose X (4, 4) in sight of cameras."""
+        axes = [0, 1] if self.system.dim == 2 else [0, 1, 2]
+        tips = X[:3, 3] + TIP * self.handle_size * X[:3, axes].T
+        self.handles = np.concatenate([self.handles, tips])
+
+    @property
+    def handle_size(self) -> float:
+        """Size [m] of the handles of a target."""
+        return HANDLE * max(self.rigid.size, 1e-9)
 
     @property
     def upright(self) -> Array:
@@ -640,36 +673,42 @@ def _make_shape(part: RigidPart) -> Shape:
 def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
     """Triangles as binary glTF 2.0: every three of the corners (3 m, 3) [m] are one, with normals
     (3 m, 3) and colours (3 m, 4) of bytes.
+
+    Corners that are alike in all three are one vertex, for viser computes normals anew, as means
+    over the triangles at a vertex.
     """
+    first, index = _find_alike(corners, normals, colours)
     arrays = {
-        "POSITION": corners.astype("<f4"),
-        "NORMAL": normals.astype("<f4"),
-        "COLOR_0": colours.astype(np.uint8),
+        "POSITION": corners[first].astype("<f4"),
+        "NORMAL": normals[first].astype("<f4"),
+        "COLOR_0": colours[first].astype(np.uint8),
+        "": index.astype("<u4"),
     }
     views: list[dict[str, Any]] = []
     accessors: list[dict[str, Any]] = []
     start = 0
-    for k, array in enumerate(arrays.values()):
+    for k, (name, array) in enumerate(arrays.items()):
         views.append({"buffer": 0, "byteOffset": start, "byteLength": array.nbytes})
         accessors.append(
             {
                 "bufferView": k,
-                "componentType": 5121 if array.dtype == np.uint8 else 5126,
+                "componentType": GLTF_TYPES[array.dtype.char],
                 "normalized": array.dtype == np.uint8,
                 "count": len(array),
-                "type": f"VEC{array.shape[1]}",
+                "type": f"VEC{array.shape[1]}" if name else "SCALAR",
             }
         )
         start += array.nbytes
     accessors[0]["min"], accessors[0]["max"] = (
         extreme.tolist() for extreme in (corners.min(axis=0), corners.max(axis=0))
     )
+    attributes = {name: k for k, name in enumerate(arrays) if name}
     scene = {
         "asset": {"version": "2.0"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": dict(zip(arrays, range(3), strict=True))}]}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": len(attributes)}]}],
         "accessors": accessors,
         "bufferViews": views,
         "buffers": [{"byteLength": start}],
@@ -684,6 +723,29 @@ def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
     return b"".join([head, *chunks])
 
 
+def _find_alike(
+    corners: Array, normals: Array, colours: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find corners with the same place, normal and colour: the first of each kind (n,), in order,
+    and for each corner (3 m,) its number among these.
+    """
+    place = _number_places(corners)
+    turn = np.round(normals * NORMALS).astype(np.int64) @ HASH[[1, 2, 0]]
+    colour = np.ascontiguousarray(colours.astype(np.uint8)).view(np.uint32).ravel().astype(np.int64)
+    key = place + turn * HASH[0] + colour * HASH[1]
+    _, first, index = np.unique(key, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return first[order], rank[index]
+
+
+def _number_places(corners: Array) -> np.ndarray:
+    """Number the places of corners (n, 3): equal numbers (n,) for the same place but for rounding."""
+    near = 1e-7 * max(float(np.ptp(corners, axis=0).max()), 1e-300)
+    return np.round(corners / near).astype(np.int64) @ HASH
+
+
 def compute_soft_normals(corners: Array) -> Array:
     """Compute unit normals (3 m, 3) at the corners (3 m, 3) of m triangles, for smooth shading.
 
@@ -696,8 +758,7 @@ def compute_soft_normals(corners: Array) -> Array:
     along = np.abs(unit @ flat)
     if np.all((along > 1.0 - 1e-12) | (along == 0.0)):  # a sheet, as all that is planar
         return np.where(along[:, None] == 0.0, flat, unit)
-    near = 1e-7 * max(float(np.ptp(corners, axis=0).max()), 1e-300)
-    place = np.round(corners / near).astype(np.int64) @ HASH
+    place = _number_places(corners)
     order = np.argsort(place, kind="stable")
     place = place[order]
     out = own.copy()
@@ -757,12 +818,16 @@ class Nodes:
                 shadow_opacity=0.12,
                 cell_color=PALE,
                 section_color=PALE,
+                cell_thickness=0.6 * FINE,
+                section_thickness=FINE,
             )
 
     def _add_shapes(self, q: Array) -> None:
         """Add the nodes of all shapes, at a configuration (nq,)."""
         drawn = self.drawn
         scene = self.scene
+        # on what is flat light falls from aside, and shadows are stripes
+        solid = drawn.system.dim == 3
         self.poses, self.lengths = drawn.rigid.compute_places(q)
         self.stretched: dict[int, list[Any]] = {}
         quats, places = split_poses(self.poses)
@@ -777,7 +842,15 @@ class Nodes:
             if color is None or mesh.opacity == 1.0:
                 quat, place = split_poses(mesh.X)
                 scale = tuple((along * mesh.scale).tolist())
-                node = scene.add_glb(name, mesh.drawn.glb, scale=scale, wxyz=quat, position=place)
+                node = scene.add_glb(
+                    name,
+                    mesh.drawn.glb,
+                    scale=scale,
+                    wxyz=quat,
+                    position=place,
+                    cast_shadow=solid,
+                    receive_shadow=solid,
+                )
             else:
                 node = scene.add_mesh_simple(
                     name,
