@@ -39,7 +39,7 @@ class Drawer:
 
     @property
     def sketch(self):
-        return self.page.history.sketch
+        return self.page.history.state
 
     def until(self, what, soon=SOON):
         end = time.monotonic() + soon

@@ -561,6 +561,42 @@ def test_dimensions_change_with_closed_loops(name, parameter, unit):
     assert session.system is system and closed(session)
 
 
+@pytest.mark.parametrize(("name", "parameter", "unit"), some(CHANGED, 3))
+def test_changes_of_dimensions_are_undone_and_redone_one_by_one(name, parameter, unit):
+    """Random changes of random parameters: each step back and forward has the values of then, with
+    closed loops; a change after steps back is the last one.
+    """
+    system = kempe.load(name)
+    session = Session(system)
+    rng = np.random.default_rng(0)
+    first = {d.name: d.value for d in session.dimensions}
+    states = [dict(session.system.structure.parameters)]
+    for _ in range(6):
+        one = str(rng.choice([*first]))
+        for _ in range(2):  # a drag is one step
+            session.set_dimension(one, first[one] * rng.uniform(0.8, 1.1))
+        session.dimension_steps.end_step()
+        if session.system.structure.parameters != states[-1]:
+            states.append(dict(session.system.structure.parameters))
+    for step, way in (
+        (session.undo_dimensions, states[-2::-1]),
+        (session.redo_dimensions, states[1:]),
+    ):
+        for state in way:
+            step()
+            assert session.system.structure.parameters == state
+            assert judge_configurations(session.system, session.q)
+        with pytest.raises(InputError, match=r"nothing to (undo|redo)"):
+            step()
+    session.undo_dimensions()
+    session.reset_dimensions()
+    assert session.system is system
+    with pytest.raises(InputError, match="nothing to redo"):
+        session.redo_dimensions()
+    session.undo_dimensions()
+    assert session.system.structure.parameters == states[-2]
+
+
 def test_dimensions_stay_the_last_that_close():
     """A coupler that gets too long for its four-bar stops where the other bars are stretched to it,
     by the triangle that they then are.

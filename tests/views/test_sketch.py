@@ -275,8 +275,8 @@ def test_names_follow_in_all_that_uses_them():
 
 
 def test_each_change_is_one_step_of_the_history():
-    history = History()
-    seen = [history.sketch]
+    history = History(Sketch())
+    seen = [history.state]
     for change in (
         lambda s: s.add_pin((0, 0))[0],
         lambda s: s.add_pin((1, 0))[0],
@@ -287,19 +287,19 @@ def test_each_change_is_one_step_of_the_history():
         lambda s: s.rename("B", "P"),
         lambda s: s.delete("P"),
     ):
-        history.add_step(change(history.sketch))
-        history.add_step(history.sketch)  # nothing has changed: no step
-        seen.append(history.sketch)
+        history.add_step(change(history.state))
+        history.add_step(history.state)  # nothing has changed: no step
+        seen.append(history.state)
     for sketch in seen[-2::-1]:
         history.undo_step()
-        assert history.sketch == sketch
+        assert history.state == sketch
     assert "nothing to undo" in find_reason(history.undo_step)
     for sketch in seen[1:]:
         history.redo_step()
-        assert history.sketch == sketch
+        assert history.state == sketch
     assert "nothing to redo" in find_reason(history.redo_step)
     history.undo_step()
-    history.add_step(history.sketch.move_pin("A", (0, 1)))
+    history.add_step(history.state.move_pin("A", (0, 1)))
     assert "nothing to redo" in find_reason(history.redo_step)
 
 

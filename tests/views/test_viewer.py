@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import http.client
 import io
+import itertools
 import json
 import socket
 import subprocess
@@ -789,6 +790,34 @@ def test_another_assembly_mode_is_clicked_and_overlays_come_and_go(browser):
 
 
 @pytest.mark.slow
+def test_the_legend_says_what_is_laid_on_the_page(browser):
+    """A row for each colour as long as it is shown, none over another one."""
+    with kempe.load("two_link").show(port=0, browser=False) as viewer:
+        seen = Seen(browser, viewer, high=800)
+
+        def rows():
+            return seen.tab.get_by_text("target of e").locator("xpath=..").locator("div").all()
+
+        def texts():
+            return [row.inner_text() for row in rows()]
+
+        assert seen.until(lambda: texts() == ["target of e: x, y, z"])
+        seen.press("workspace")
+        assert seen.until(lambda: texts()[1:] == ["reached in several ways", "boundary"])
+        seen.press("singular configurations")
+        assert seen.until(lambda: texts()[-1].startswith("singular: "))
+        seen.press("show", "other solutions")
+        assert seen.until(lambda: texts()[-1] == "pale: other solutions")
+        boxes = [row.bounding_box() for row in rows()]
+        for above, below in itertools.pairwise(boxes):
+            assert above["y"] + above["height"] <= below["y"] + 0.5
+        seen.press("workspace")
+        assert seen.until(lambda: len(texts()) == 3)
+        assert seen.page.nodes.laid["singular configurations"]
+        seen.tab.close()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "motion"),
     [
@@ -895,6 +924,7 @@ def test_a_dimension_is_dragged_with_closed_loops(browser, name, parameter):
                 now == pytest.approx(shown, abs=1e-9) and page.nodes.drawn.system is viewer.system
             )
 
+        values = []
         for by in (-15.0, 8.0):
             old = viewer.system
             curve = page.nodes.laid["curve"]
@@ -909,6 +939,7 @@ def test_a_dimension_is_dragged_with_closed_loops(browser, name, parameter):
             changed = viewer.system
             assert np.abs(closure_error(changed, viewer.q)).max() < 1e-9
             value = changed.structure.parameters[parameter]
+            values.append(value)
             assert page.dimensions[parameter].value == pytest.approx(value, abs=1e-9)
             assert page.nodes.drawn.system is changed
             anew = Drawn(changed, viewer.q)
@@ -916,6 +947,21 @@ def test_a_dimension_is_dragged_with_closed_loops(browser, name, parameter):
             r = anew.rigid.r
             assert np.allclose(here.min(axis=0), there.min(axis=0), atol=r)
             assert np.allclose(here.max(axis=0), there.max(axis=0), atol=r)
+        assert len(values) == 2
+
+        def steps_to(button, value):
+            """By a button; a slow drag may be several steps."""
+            for _ in range(20):
+                before = viewer.system
+                seen.press(button)
+                assert seen.until(lambda old=before: viewer.system is not old)
+                if viewer.system.structure.parameters[parameter] == value:
+                    return True
+            return False
+
+        first = system.structure.parameters[parameter]
+        assert steps_to("undo", values[0]) and steps_to("undo", first)
+        assert steps_to("redo", values[0]) and steps_to("redo", values[1])
         seen.press("undo all")
         assert seen.until(lambda: viewer.system is system)
         assert judge_configurations(system, viewer.q)

@@ -130,11 +130,12 @@ class Solids:
         """Add a part of a sphere from points (m, n, 3) of the unit sphere, by latitude and
         longitude.
         """
-        for low, high in itertools.pairwise(p):
-            corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
-            normals = corners.mean(axis=1)
-            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-            self.add_faces(name, centre + radius * corners, normals, colour)
+        low, high = p[:-1], p[1:]
+        corners = np.stack([low[:, :-1], low[:, 1:], high[:, 1:], high[:, :-1]], axis=2)
+        corners = corners.reshape(-1, 4, 3)
+        normals = corners.mean(axis=1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        self.add_faces(name, centre + radius * corners, normals, colour)
 
     def add_box(self, name: str, X: Array, half: Array, colour: str, edge: str = "") -> None:
         """Add a box around the origin of the pose X (4, 4), with half-lengths (3,) along its axes."""

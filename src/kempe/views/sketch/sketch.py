@@ -11,7 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from kempe.errors import InputError
 from kempe.units import METRE
@@ -353,32 +353,35 @@ class Sketch:
         return replace(self, grounded=grounded, sliders=sliders, crank=crank)
 
 
-class History:
-    """Sketches in the order in which they were made, for undo and redo."""
+State = TypeVar("State")
 
-    def __init__(self, sketch: Sketch | None = None):
-        self.sketch = sketch or Sketch()
-        self._before = list[Sketch]()
-        self._after = list[Sketch]()
+
+class History(Generic[State]):
+    """States, such as sketches, in the order in which they were made, for undo and redo."""
+
+    def __init__(self, state: State):
+        self.state = state
+        self._before = list[State]()
+        self._after = list[State]()
         self._key = ""
 
-    def add_step(self, sketch: Sketch, key: str = "") -> None:
-        """Take a sketch as the present one; each change is one step.
+    def add_step(self, state: State, key: str = "") -> None:
+        """Take a state as the present one; each change is one step.
 
         Changes with the same `key` that follow one another, as of a pin that is dragged, are one
         step together.
         """
-        if sketch == self.sketch:
+        if state == self.state:
             return
         if not key or key != self._key:
-            self._before.append(self.sketch)
+            self._before.append(self.state)
         self._after.clear()
         self._key = key
-        self.sketch = sketch
+        self.state = state
 
-    def find_base(self, key: str) -> Sketch:
-        """Find the sketch before the changes with this key: the present one if they begin now."""
-        return self._before[-1] if key and key == self._key else self.sketch
+    def find_base(self, key: str) -> State:
+        """Find the state before the changes with this key: the present one if they begin now."""
+        return self._before[-1] if key and key == self._key else self.state
 
     def end_step(self) -> None:
         """End the changes that are one step together."""
@@ -389,16 +392,16 @@ class History:
         if not self._before:
             raise InputError("there is nothing to undo")
         self.end_step()
-        self._after.append(self.sketch)
-        self.sketch = self._before.pop()
+        self._after.append(self.state)
+        self.state = self._before.pop()
 
     def redo_step(self) -> None:
         """Take the last undo back. Errors: `InputError` without one."""
         if not self._after:
             raise InputError("there is nothing to redo")
         self.end_step()
-        self._before.append(self.sketch)
-        self.sketch = self._after.pop()
+        self._before.append(self.state)
+        self.state = self._after.pop()
 
 
 def iterate_pin_names() -> Iterator[str]:

@@ -184,13 +184,13 @@ class BoardPage:
         self.folder = gui.add_folder("what is chosen")
         with gui.add_folder("sketch"):
             self.snap = gui.add_number(
-                f"grid [{self.history.sketch.unit}]",
+                f"grid [{self.history.state.unit}]",
                 self.board.cell,
                 min=0.0,
                 step=STEP * self.board.cell,
             )
             self.lengths = gui.add_checkbox("lengths", False)
-            self.title = gui.add_text("title", self.history.sketch.name)
+            self.title = gui.add_text("title", self.history.state.name)
             self._add_buttons("copy", {"as Python": self.copy_python, "as TOML": self.copy_toml})
             self._add_buttons("file", {"save": self.save, "new": self.clear})
         self.snap.on_update(self.make_callback(lambda event: self._set_grid(self.snap.value)))
@@ -271,7 +271,7 @@ class BoardPage:
 
     def click(self, at: Point) -> None:
         """Use the tool at a point of the plane."""
-        sketch = self.history.sketch
+        sketch = self.history.state
         pin = sketch.find_nearest_pin(at, REACH * self.board.cell)
         bar = None if pin else sketch.find_nearest_bar(at, NEAR_BAR * self.board.cell)
         use: Callable[[Point, str | None, str | None], None] = getattr(self, f"_use_{self.tool}")
@@ -288,14 +288,14 @@ class BoardPage:
 
     def _place_pin(self, at: Point) -> str:
         """Place a pin at the nearest point of the grid; return its name."""
-        made, name = self.history.sketch.add_pin(snap_point(at, self.grid))
+        made, name = self.history.state.add_pin(snap_point(at, self.grid))
         self.history.add_step(made)
         return name
 
     def _use_bar(self, at: Point, pin: str | None, bar: str | None) -> None:
         """Begin a bar, or end it: at a pin, at a bar that gets one more pin, or in the plane."""
         first = self.chosen[0] if self.chosen else None
-        sketch = self.history.sketch
+        sketch = self.history.state
         if first is None or first not in {*sketch.pins, *sketch.bars}:
             self._choose_part(pin or bar or self._place_pin(at))
             return
@@ -323,7 +323,7 @@ class BoardPage:
     def _use_ground(self, at: Point, pin: str | None, bar: str | None) -> None:
         """Fix a pin to the ground, or free it."""
         pin = self._need_pin(pin)
-        sketch = self.history.sketch
+        sketch = self.history.state
         self.history.add_step(sketch.ground_pin(pin, pin not in sketch.grounded))
         self._choose_part(pin)
 
@@ -334,7 +334,7 @@ class BoardPage:
             self.said = f"Click on the pin that slides in a slot of bar {bar}."
             return
         pin = self._need_pin(pin)
-        sketch = self.history.sketch
+        sketch = self.history.state
         if self.chosen and self.chosen[0] in sketch.bars:
             a, b = (np.array(sketch.pins[p]) for p in sketch.bars[self.chosen[0]][:2])
             angle = float(np.arctan2(*(b - a)[::-1]))
@@ -350,7 +350,7 @@ class BoardPage:
 
     def _use_crank(self, at: Point, pin: str | None, bar: str | None) -> None:
         """Choose the crank."""
-        sketch = self.history.sketch
+        sketch = self.history.state
         if bar is None:
             pin = self._need_pin(pin)
         made = sketch.set_crank_bar(bar) if bar is not None else sketch.set_crank(pin or "")
@@ -391,7 +391,7 @@ class BoardPage:
         if phase == "start":
             self.typing = None
             self.stop_playing()
-            pin = self.history.sketch.find_nearest_pin(begin, REACH * self.board.cell)
+            pin = self.history.state.find_nearest_pin(begin, REACH * self.board.cell)
             self.dragged = pin or ""
             self.drags += 1
             self.history.end_step()
@@ -400,8 +400,8 @@ class BoardPage:
         key = f"drag {self.drags}"
         at = snap_point(end, self.grid)
         self.said = ""
-        if at != self.history.sketch.pins[self.dragged]:
-            self.history.add_step(self.history.sketch.move_pin(self.dragged, at), key)
+        if at != self.history.state.pins[self.dragged]:
+            self.history.add_step(self.history.state.move_pin(self.dragged, at), key)
         if phase == "end":
             if self.tool != "bar":
                 self._choose_part(self.dragged)
@@ -427,30 +427,30 @@ class BoardPage:
     def clear(self) -> None:
         """Begin a new sketch; undo brings the old one back."""
         self.stop_playing()
-        self.history.add_step(Sketch(unit=self.history.sketch.unit))
+        self.history.add_step(Sketch(unit=self.history.state.unit))
         self.chosen = ()
 
     def delete_chosen(self) -> None:
         """Delete what is chosen."""
         self.stop_playing()
         for name in self.chosen:
-            self.history.add_step(self.history.sketch.delete(name))
+            self.history.add_step(self.history.state.delete(name))
             self.said = f"{name} is deleted."
         self.chosen = ()
 
     def copy_python(self) -> None:
         """Copy the program that makes the mechanism to the clipboard."""
-        copy_text(self.client, write_python(self.history.sketch))
+        copy_text(self.client, write_python(self.history.state))
         self.said = "Copied: the mechanism as Python."
 
     def copy_toml(self) -> None:
         """Copy the mechanism to the clipboard as TOML."""
-        copy_text(self.client, write_sketch_toml(self.history.sketch))
+        copy_text(self.client, write_sketch_toml(self.history.state))
         self.said = "Copied: the mechanism as TOML."
 
     def save(self) -> None:
         """Let the browser save the mechanism as a TOML file."""
-        sketch = self.history.sketch
+        sketch = self.history.state
         file = save_text(self.client, sketch.name, write_sketch_toml(sketch))
         self.said = f"Saved: {file}, among the downloads of the browser."
 
@@ -473,7 +473,7 @@ class BoardPage:
 
     def _make_fields(self) -> None:
         """Make the fields for what is chosen, in place of those of something else."""
-        sketch = self.history.sketch
+        sketch = self.history.state
         name = self.chosen[0] if self.chosen else ""
         if name and name == self.renamed.get(self.shown[0] if self.shown else ""):
             self._update_fields()  # the field in which the name is typed stays
@@ -552,7 +552,7 @@ class BoardPage:
         for handle, read in self.fields:
             if read is None or handle is self.typing or isinstance(handle.value, str):
                 continue
-            value = round(float(read(self.history.sketch)), 6)
+            value = round(float(read(self.history.state)), 6)
             if handle.value != value and not self.said:
                 handle.value = value
 
@@ -572,7 +572,7 @@ class BoardPage:
 
     def show(self) -> None:
         """Show the sketch, and what is said about it."""
-        sketch = self.history.sketch
+        sketch = self.history.state
         known = {*sketch.pins, *sketch.bars}
         self.chosen = tuple(name for name in self.chosen if name in known)
         if self.findings is None or self.findings.sketch != sketch:
@@ -645,7 +645,7 @@ class BoardPage:
 
     def _begin_examination(self) -> None:
         """Count the freedoms of the sketch in a thread, and show what is found."""
-        sketch = self.history.sketch
+        sketch = self.history.state
         self.findings = Findings(sketch)
 
         def iterate_actions(check: Callable[..., None]) -> Iterator[Action]:
@@ -659,7 +659,7 @@ class BoardPage:
 
         def show_findings(found: Findings, more: str) -> None:
             """Show the findings, unless the sketch has changed meanwhile."""
-            if found.sketch == self.history.sketch:
+            if found.sketch == self.history.state:
                 self.findings = found
                 large = LARGE.format(format_html(fit_sentence(found.sentence)))
                 self.sentence.content = large + format_html(fit_sentence(more))
@@ -673,7 +673,7 @@ class BoardPage:
         if self.playing:
             self.stop_playing()
             return
-        sketch = self.history.sketch
+        sketch = self.history.state
         if self.motion is not None:
             self._begin_playing()
             return
@@ -686,7 +686,7 @@ class BoardPage:
 
         def show_motion(motion: Motion) -> None:
             """Play the motion, unless the sketch has changed meanwhile."""
-            if motion.sketch == self.history.sketch:
+            if motion.sketch == self.history.state:
                 self.motion = motion
                 self._begin_playing()
 
@@ -697,7 +697,7 @@ class BoardPage:
         motion = self.motion
         assert motion is not None
         self.chosen = ()
-        self._draw(self.history.sketch)
+        self._draw(self.history.state)
         self._remove_curves()
         above = 12.0 * style.THICK * PIN * self.board.cell
         for k, pin in enumerate(motion.traced):

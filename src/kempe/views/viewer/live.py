@@ -13,7 +13,7 @@ import threading
 import time
 import traceback
 import webbrowser
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -281,6 +281,15 @@ PARAGRAPH = (
     '<p style="margin:0;padding:0 .75rem .6rem;font-size:14px;overflow-wrap:anywhere">{}</p>'
 )
 """How a sentence looks in the panel."""
+ROW = (
+    '<div style="padding:0 .75rem .3rem;font-size:12px;overflow-wrap:anywhere"><span '
+    'style="display:inline-block;width:1.6em;height:.7em;border-radius:.2em;margin-right:.6em;'
+    'background:{}"></span>{}</div>'
+)
+"""How a colour and what it means look in the panel."""
+HANDLES = "linear-gradient(90deg,#ff2f6a 33%,#77d999 33% 66%,#358fe5 66%)"
+PALE = "#b8c0c7"
+"""Colours in the legend of the handles of a target, and of other configurations."""
 QUICK = 0.1
 """Seconds that a search may take which is repeated while a target is dragged."""
 
@@ -363,6 +372,7 @@ class Page:
                 self.arrived = time.perf_counter()
             if action is None:
                 slow = False
+                self.session.dimension_steps.end_step()
                 with self.client.atomic():
                     self._set_sliders(True)
                 if self.dragging != "gizmo":
@@ -403,6 +413,20 @@ class Page:
             said = format_html(fit_sentence(session.compose_text()))
             if self.said.content != said:
                 self.said.content = said
+            legend = format_legend(self._list_legend())
+            if self.legend.content != legend:
+                self.legend.content = legend
+
+    def _list_legend(self) -> list[tuple[str, str]]:
+        """List the colours on the page beside those of the links, and what each means."""
+        session = self.session
+        rows = [(HANDLES, f"target of {session.frame}: x, y, z")]
+        rows += [row for legend in self.nodes.legends.values() for row in legend]
+        if session.target is not None:
+            rows.append((style.OPEN, "from the nearest configuration to the target"))
+        if len(session.solutions):
+            rows.append((PALE, f"pale: other {KINDS[session.kind]}s"))
+        return rows
 
     def _renew_system(self) -> None:
         """Draw the system with its new dimensions, and compute again what is shown of it."""
@@ -484,6 +508,7 @@ class Page:
             self.names = gui.add_checkbox("names", False)
             self.axes = gui.add_checkbox("axes of frames", False)
             self.degrees = gui.add_checkbox("degrees", self.viewer.deg)
+            self.legend = gui.add_html("")
         self.player = Player(self)
         if drawn.lost:
             gui.add_html(format_html(fit_sentence(drawn.lost_sentence)))
@@ -512,6 +537,8 @@ class Page:
             "H": ("go to the first configuration", self.session.reset),
             "N": ("next solution", lambda: self._show_next_configuration("solution")),
         }
+        if self.session.dimensions:
+            keys["U"] = "undo the last change of a dimension", self.session.undo_dimensions
         if has_loops(self.session.system):
             keys["M"] = "next assembly mode", lambda: self._show_next_configuration("mode")
         for key, (label, action) in keys.items():
@@ -612,6 +639,8 @@ class Page:
             self.add_buttons(
                 "mechanism",
                 {
+                    "undo": session.undo_dimensions,
+                    "redo": session.redo_dimensions,
                     "undo all": session.reset_dimensions,
                     "copy as TOML": self._copy_mechanism,
                     "save": self._save_mechanism,
@@ -936,6 +965,11 @@ def format_html(text: str) -> str:
     return "".join(PARAGRAPH.format(html.escape(part)) for part in text.split("\n\n") if part)
 
 
+def format_legend(rows: Sequence[tuple[str, str]]) -> str:
+    """Format colours and what they mean as HTML, a row each."""
+    return "".join(ROW.format(colour, html.escape(text)) for colour, text in rows)
+
+
 # ---- showing and serving
 
 PORT = 8080
@@ -1038,7 +1072,9 @@ class Viewer(ServedPages):
     def _open_page(self, client: Any) -> None:
         """Add a page for a new client."""
         session = self.session if self.share else copy.copy(self.session)
-        session.lock = self.session.lock if self.share else threading.RLock()
+        if not self.share:
+            session.lock = threading.RLock()
+            session.forget_steps()
         client.camera.max_orbit_distance = float("inf")
         client.camera.min_orbit_distance = self.drawn.near
         page = self.pages[client.client_id] = Page(self, client, session, self.drawn)

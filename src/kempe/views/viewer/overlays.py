@@ -19,7 +19,7 @@ from kempe.forward.fk import fk
 from kempe.model.configurations import has_loops
 from kempe.spatial import Array
 from kempe.units import name_lengths
-from kempe.views.drawing import shapes
+from kempe.views.drawing import shapes, style
 from kempe.views.drawing.solids import parse_colour
 from kempe.views.viewer.session import MOTION_PATIENCE
 from kempe.words import format_count
@@ -39,19 +39,19 @@ EACH = 60
 """Samples for each cell of a workspace; with loops a tenth of that."""
 CUT = "; cut open at y = {:.3g} m"
 """What is said of what is shown from there on only, so that one sees into it."""
+SINGULAR = 0.026
+"""Diameter of the mark of a singular configuration in sizes of the drawing."""
 ROUNDS = 8
 """Rounds in which singular configurations are searched for."""
 REACHED = "#6f9fd0"
 OFTEN = "#2f5f95"
-"""Colours of what is reached, in one way and in several."""
-KINDS = {
-    "red": "#b3261e",
-    "blue": "#0b5fa5",
-    "green": "#2b7a3b",
-    "purple": "#7a4fbf",
-    "brown": "#8a5a00",
-}
-"""Colours of sets of singular configurations, by their words."""
+EDGE = "#123a63"
+"""Colours of what is reached, in one way and in several, and of its boundary."""
+KINDS = ("#7a4fbf", "#d9820a", "#2b7a3b", "#8a5a00", "#0f8b8d")
+"""Colours of sets of singular configurations, none that a curve or a workspace has."""
+FEW = "#fee838"
+MANY = "#00224e"
+"""Colours of a capability map where few directions are reached, and where all are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,8 @@ class Overlay:
     """Overlay of a page: points (n, 3) with colours and sizes [m], lines (m, 2, 3), surfaces, a
     sentence.
 
-    `surfaces` are corners (k, 3) and triangles (j, 3) with a colour.
+    `surfaces` are corners (k, 3) and triangles (j, 3) with a colour. `legend` says what each colour
+    means.
     """
 
     said: str
@@ -67,7 +68,9 @@ class Overlay:
     colours: Array = field(default_factory=lambda: np.zeros((0, 3)))
     sizes: Array = field(default_factory=lambda: np.zeros(0))
     lines: Array = field(default_factory=lambda: np.zeros((0, 2, 3)))
+    line_colour: str = style.choose_curve_colour(0)
     surfaces: tuple[tuple[Array, np.ndarray, str], ...] = ()
+    legend: tuple[tuple[str, str], ...] = ()
 
     @property
     def extent(self) -> Array:
@@ -95,14 +98,19 @@ def _iterate_curve(session: Session) -> Iterator[Overlay]:
     frame = session.frame
     if session.motion is not None:
         places = fk(system, session.motion.q, frame)[:, :3, 3]
-        yield Overlay(f"what {frame} passes", lines=_split_polyline(places))
+        yield _make_curve(session, f"what {frame} passes", places)
         return
     motion = trace(
         system, session.sliders[0].name, session.q, budget=session.make_budget(MOTION_PATIENCE)
     )
-    yield Overlay(
-        f"{frame}: {motion.status}", lines=_split_polyline(fk(system, motion.q, frame)[:, :3, 3])
-    )
+    places = fk(system, motion.q, frame)[:, :3, 3]
+    yield _make_curve(session, f"{frame}: {motion.status}", places)
+
+
+def _make_curve(session: Session, said: str, places: Array) -> Overlay:
+    """Make the overlay of the curve through places (n, 3) of the frame."""
+    legend = ((style.choose_curve_colour(0), f"curve of {session.frame}"),)
+    return Overlay(said, lines=_split_polyline(places), legend=legend)
 
 
 # ---- workspaces and capability maps
@@ -140,7 +148,15 @@ def _make_regions(found: PlanarWorkspace) -> Overlay:
     for piece in found.boundary:
         p = shapes.sample_piece(piece)
         lines.append(_split_polyline(np.column_stack([np.real(p), np.imag(p), np.zeros(len(p))])))
-    return Overlay(found.status, lines=np.concatenate(lines), surfaces=tuple(surfaces))
+    words = {REACHED: "workspace", OFTEN: "reached in several ways", EDGE: "boundary"}
+    used = {colour for *_, colour in surfaces} | {EDGE}
+    return Overlay(
+        found.status,
+        lines=np.concatenate(lines),
+        line_colour=EDGE,
+        surfaces=tuple(surfaces),
+        legend=tuple((colour, word) for colour, word in words.items() if colour in used),
+    )
 
 
 def _triangulate_loops(loops: Any) -> tuple[Array, np.ndarray]:
@@ -198,7 +214,9 @@ def _make_cells(found: Workspace, cut: float) -> Overlay:
         said += name_lengths(CUT.format(cut), found.system.unit)
     full = np.pad(some, 1)
     if d == 1:
-        return Overlay(found.status, lines=_split_polyline(grid.complete_points(found.map.points)))
+        lines = _split_polyline(grid.complete_points(found.map.points))
+        legend = ((EDGE, "workspace"),)
+        return Overlay(found.status, lines=lines, line_colour=EDGE, legend=legend)
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=float)
     quads = [np.argwhere(full)[:, None] + square] if d == 2 else []
     for axis, side in np.ndindex(3, 2) if d == 3 else ():
@@ -215,6 +233,7 @@ def _make_cells(found: Workspace, cut: float) -> Overlay:
         surfaces=(
             (grid.complete_points(places), _triangulate_quadrangles(len(places) // 4), REACHED),
         ),
+        legend=((REACHED, "workspace"),),
     )
 
 
@@ -241,7 +260,8 @@ def _iterate_capability(session: Session) -> Iterator[Overlay]:
         colours = np.asarray(colormaps["cividis_r"](part[some]))[:, :3]
         cut = name_lengths(CUT.format(session.pose[1, 3]), system.unit)
         said = found.status + cut * (system.dim == 3)
-        yield Overlay(said, points, colours, edge * (0.15 + 0.45 * part[some]))
+        legend = ((FEW, "few directions reached"), (MANY, "all directions reached"))
+        yield Overlay(said, points, colours, edge * (0.15 + 0.45 * part[some]), legend=legend)
 
 
 # ---- singular configurations
@@ -257,7 +277,6 @@ def _iterate_singular_places(session: Session) -> Iterator[Overlay]:
     held: dict[str, list[Array]] = {}
     starts = 4 if has_loops(system) else 32
     total = 0
-    words = list(KINDS)
     for k in range(ROUNDS):
         budget = Budget(starts=starts, rng=k)
         total = total + starts
@@ -273,18 +292,19 @@ def _iterate_singular_places(session: Session) -> Iterator[Overlay]:
             held.setdefault(one.name or " and ".join(one.kinds), []).append(places)
         points = [np.zeros((0, 3))]
         colours = [np.zeros((0, 3))]
-        said = list[str]()
-        for (name, several), word in zip(held.items(), itertools.cycle(words)):
+        legend = list[tuple[str, str]]()
+        for (name, several), colour in zip(held.items(), itertools.cycle(KINDS)):
             points.append(np.concatenate(several))
-            colours.append(np.tile(parse_colour(KINDS[word]), (len(points[-1]), 1)))
-            said.append(f"{name} ({word})")
+            colours.append(np.tile(parse_colour(colour), (len(points[-1]), 1)))
+            legend.append((colour, f"singular: {name}"))
         every = np.concatenate(points)
-        what = f"{', '.join(said) or 'none'} found from {format_count(total, 'start')}"
+        what = f"{', '.join(held) or 'none'} found from {format_count(total, 'start')}"
         yield Overlay(
             f"{frame} at singular configurations: {what}",
             every,
             np.concatenate(colours),
-            np.full(len(every), 0.012 * session.size),
+            np.full(len(every), SINGULAR * session.size),
+            legend=tuple(legend),
         )
 
 

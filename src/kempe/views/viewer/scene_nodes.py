@@ -500,6 +500,9 @@ SOME = 48
 """Configurations of a motion by which a camera is placed."""
 DIRECTIONS = np.array([x for x in itertools.product((-1.0, 0.0, 1.0), repeat=3) if any(x)])
 """Directions (26, 3) in which the outermost points of links are found, to frame them."""
+FLAT = 2.6
+GAMMA = 2.2
+"""Strength of the light on what is flat, and the exponent of light in numbers of colours."""
 UPWARDS = np.array([0.0, 0.0, 1.0])
 ASIDE = np.array([0.6, -0.85, 0.4])
 """From where planar and spatial systems are looked at."""
@@ -529,7 +532,7 @@ class Drawn:
 
     Cameras have all configurations of a motion `way` (n, nq) in sight, if there is one, and the
     ends of the `handles` (k, 3) of a target. `like` is the drawing of the system with other
-    dimensions, of which is kept what does not change.
+    dimensions, of which is kept what does not change. What is `flat` has no surfaces of files.
     """
 
     def __init__(
@@ -540,6 +543,7 @@ class Drawn:
         self._like = like
         self.read: dict[Any, Any] = {} if like is None else like.read
         meshes, self.lost = read_body_meshes(system.mechanism, lambda: self.rigid, self.read)
+        self.flat = system.dim == 2 and not meshes
         self.shapes = tuple(self._place_shapes(meshes))
         self.extremes = self._find_extremes()
         shown = q[None]
@@ -572,7 +576,7 @@ class Drawn:
             for p in self.rigid.parts
             if not covered.intersection(self.rigid.list_links(p.carrier))
         )
-        return out + [_make_shape(p) for p in bare]
+        return out + [_make_shape(p, float(not self.flat)) for p in bare]
 
     def _find_extremes(self) -> list[tuple[int, Array]]:
         """Find the corners (k, 3) of each carrier that are the farthest ones in some direction."""
@@ -659,20 +663,24 @@ class Drawn:
         return np.array([0.0, 1.0, 0.0]) if self.system.dim == 2 else UPWARDS
 
 
-def _make_shape(part: RigidPart) -> Shape:
-    """Make a shape of a part."""
+def _make_shape(part: RigidPart, metal: float) -> Shape:
+    """Make a shape of a part; see `write_glb` for `metal`."""
     corners = part.corners[part.triangles].reshape(-1, 3)
     colours = _to_bytes(part.colours)
-    glb = write_glb(corners, compute_soft_normals(corners), np.repeat(colours, 3, axis=0))
-    color = tuple(colours[0].tolist()) if colours[:, 3].min() < 255 else None
+    if not metal:  # as glTF has colours: in proportion to light
+        colours = _to_bytes(np.column_stack([part.colours[:, :3] ** GAMMA, part.colours[:, 3]]))
+    glb = write_glb(corners, compute_soft_normals(corners), np.repeat(colours, 3, axis=0), metal)
+    color = tuple(_to_bytes(part.colours[0]).tolist()) if colours[:, 3].min() < 255 else None
     triangles = np.arange(len(corners)).reshape(-1, 3)
     drawn = Triangles(glb, corners, triangles, color)
     return Shape(part.carrier, PlacedMesh(drawn, np.ones(3), np.eye(4)))
 
 
-def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
+def write_glb(corners: Array, normals: Array, colours: np.ndarray, metal: float = 1.0) -> bytes:
     """Triangles as binary glTF 2.0: every three of the corners (3 m, 3) [m] are one, with normals
     (3 m, 3) and colours (3 m, 4) of bytes.
+
+    A surface of `metal` 1 reflects its surroundings, one of 0 is seen in any light.
 
     Corners that are alike in all three are one vertex, for viser computes normals anew, as means
     over the triangles at a vertex.
@@ -703,7 +711,7 @@ def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
         extreme.tolist() for extreme in (corners.min(axis=0), corners.max(axis=0))
     )
     attributes = {name: k for k, name in enumerate(arrays) if name}
-    scene = {
+    scene: dict[str, Any] = {
         "asset": {"version": "2.0"},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
@@ -713,6 +721,10 @@ def write_glb(corners: Array, normals: Array, colours: np.ndarray) -> bytes:
         "bufferViews": views,
         "buffers": [{"byteLength": start}],
     }
+    if metal < 1.0:
+        surface = {"metallicFactor": metal, "roughnessFactor": 1.0}
+        scene["materials"] = [{"pbrMetallicRoughness": surface}]
+        scene["meshes"][0]["primitives"][0]["material"] = 0
     text = json.dumps(scene).encode()
     text += b" " * (-len(text) % 4)
     data = b"".join(array.tobytes() for array in arrays.values())
@@ -802,8 +814,15 @@ class Nodes:
         self.labels = list[Any]()
         self.axes = list[Any]()
         self.laid = dict[str, list[Any]]()
+        self.legends: dict[str, tuple[tuple[str, str], ...]] = {}
         self.made = list[Any]()
         self._add_shapes(q)
+        if drawn.flat:
+            # what is flat needs no surroundings to reflect and no shadows, which cost the processor
+            # most where there is no graphics card
+            scene.configure_environment_map(None)
+            scene.configure_default_lights(enabled=False, cast_shadow=False)
+            scene.add_light_ambient("/light", intensity=FLAT)
         if drawn.system.dim == 3:
             wide = 4.0 * drawn.rigid.size
             low = min(0.0, float(drawn.points[:, 2].min()))
@@ -950,9 +969,11 @@ class Nodes:
         """Show an overlay in place of the one with the same name; None removes it."""
         for node in self.laid.pop(name, ()):
             node.remove()
+        self.legends.pop(name, None)
         if overlay is None:
             return
         new = self.laid[name] = []
+        self.legends[name] = overlay.legend
         flat = self.drawn.system.dim == 2
         above = np.array([0.0, 0.0, ABOVE * self.drawn.rigid.r if flat else 0.0], dtype=np.float32)
         scene = self.scene
@@ -960,7 +981,7 @@ class Nodes:
         still = {"cast_shadow": False, "receive_shadow": False}
         if len(overlay.lines):
             lines = overlay.lines.astype(np.float32) + above
-            colour = _to_bytes(parse_colour(style.choose_curve_colour(0)))
+            colour = _to_bytes(parse_colour(overlay.line_colour))
             new.append(
                 scene.add_line_segments(
                     f"{at}/lines", lines, colour, thickness=2.5, thickness_units="screen"

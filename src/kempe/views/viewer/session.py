@@ -9,6 +9,7 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -35,6 +36,7 @@ from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array, log_so3
 from kempe.views.drawing.plot_request import read_configuration, read_motion
 from kempe.views.drawing.scene import build_scene
+from kempe.views.sketch.sketch import History
 from kempe.views.viewer.dimensions import describe_four_bar, make_dimension_slider
 from kempe.views.viewer.first_sight import choose_first_posture, sort_frames_by_use
 from kempe.views.viewer.sliders import Slider
@@ -196,6 +198,15 @@ PATIENCE = 3.0
 """Seconds that the search for other solutions and modes of loops may take."""
 
 
+@dataclass(frozen=True)
+class Dimensioned:
+    """A system whose parameters have these values, and a configuration (nq,) that closes its loops."""
+
+    values: dict[str, float]
+    system: Model = field(compare=False)
+    q: Array = field(compare=False)
+
+
 class Session:
     """State of a page: the configuration `q` (nq,) of a system, and the actions on it.
 
@@ -204,7 +215,7 @@ class Session:
     reached, else None. `solutions` (k, nq) are other configurations, of the `kind` "solution" (the
     frame at the same place) or "mode" (the independent coordinates as they are), the search for
     which `took` so many seconds. `motion` is what is played, `home` the configuration at first, `first` the system
-    with its first dimensions.
+    with its first dimensions, `dimension_steps` the history of these.
     `revision` grows with each new choice of `sliders`. `progress` is called in long searches.
     """
 
@@ -248,6 +259,7 @@ class Session:
         self.home = self.q
         self.first = system
         self._parameter_units = list_parameter_units(system)
+        self.forget_steps()
 
     # ---- coordinates
 
@@ -375,15 +387,41 @@ class Session:
         stays the last one that does.
         """
         self._change_dimensions({name: float(value)})
+        self.dimension_steps.add_step(self._get_dimensions(self.system, self.q), name)
+
+    def forget_steps(self) -> None:
+        """Begin the history of dimensions anew."""
+        self.dimension_steps = History(self._get_dimensions(self.system, self.q))
+
+    def undo_dimensions(self) -> None:
+        """Take the last change of dimensions back. Errors: `InputError` at the first one."""
+        self.dimension_steps.undo_step()
+        self._restore_dimensions(self.dimension_steps.state, "one step back")
+
+    def redo_dimensions(self) -> None:
+        """Take the last undo back. Errors: `InputError` without one."""
+        self.dimension_steps.redo_step()
+        self._restore_dimensions(self.dimension_steps.state, "one step forward")
 
     def reset_dimensions(self) -> None:
-        """Set all parameters to their first values; if the loops do not close on the way, go to the
-        first configuration.
+        """Set all parameters to their first values, which is one step, too."""
+        first = self._get_dimensions(self.first, self.home)
+        self.dimension_steps.add_step(first)
+        self._restore_dimensions(first, "dimensions reset")
+
+    @staticmethod
+    def _get_dimensions(system: Model, q: Array) -> Dimensioned:
+        """Get the values of a system's parameters, with a configuration (nq,)."""
+        return Dimensioned(dict(system.structure.parameters), system, np.array(q))
+
+    def _restore_dimensions(self, state: Dimensioned, said: str) -> None:
+        """Go to a state of the history from this configuration; where that leads nowhere, to its
+        own.
         """
-        self._change_dimensions(dict(self.first.structure.parameters))
+        self._change_dimensions(state.values)
         closed = not self.status
-        self._take_system(self.first, self.q if closed else np.array(self.home))
-        self.status = "dimensions reset" + ", and the configuration" * (not closed)
+        self._take_system(state.system, self.q if closed else state.q)
+        self.status = said + ", and the configuration of then" * (not closed)
 
     def _change_dimensions(self, wanted: dict[str, float]) -> None:
         """Lead parameters to these values in steps, as far as the loops close."""
