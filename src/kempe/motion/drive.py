@@ -25,7 +25,7 @@ from kempe.arguments import (
     raise_interrupted,
     read_flag,
 )
-from kempe.arrays import check_range, is_mapping, read_reals
+from kempe.arrays import check_range, is_mapping, read_mapping, read_reals
 from kempe.assemble.bound import get_equation_assembler
 from kempe.assemble.idle_freedoms import find_spin_lock, lock_spins
 from kempe.assemble.nearest_exact import answer_within_tolerance
@@ -1107,10 +1107,12 @@ def _follow_inputs(
     time: TimeLimit,
 ) -> Drive:
     """Compute the motion that follows prescribed inputs, whatever bodies it brings together."""
-    if not isinstance(inputs, Mapping):
+    given = read_mapping(inputs)
+    if given is None:
         raise InputError(
             f"inputs is {format_value(inputs)}; it must be a dict of values by coordinate name"
         )
+    inputs = given
     warn_of_degrees_in_values(system, inputs)
     read_flag(limits, "limits")
     spend = USUAL.complete_budget(budget)
