@@ -141,18 +141,21 @@ def test_hunt_overlaps_end_by_a_shift_of_the_depth_and_by_no_shorter_one(pair, h
     rng = hunt.rng()
     shifts = rng.normal(size=(400, 3))
     shifts /= np.linalg.norm(shifts, axis=1)[:, None]
-    for _ in range(hunt.cases(40)):
+    count, apart = hunt.cases(40), 0
+    for _ in range(count):
         s = two(*(sizes(kind, rng) for kind in pair))
         q = places(rng, 1)
         q[0, :3] *= 0.1
         d = s.geometry.clearance(q[0])
         if d >= 0.0:
+            apart += 1
             continue
         shifted = np.repeat(q, 400, axis=0)
         shifted[:, :3] += 0.999 * abs(d) * shifts
         assert (s.geometry.clearance(shifted) < 0.0).all(), "a shorter shift separates them"
         shifted[:, :3] = q[:, :3] + 1.3 * abs(d) * shifts
         assert s.geometry.clearance(shifted).max() > -0.1 * abs(d), "no shift of that length does"
+    assert apart < count
 
 
 def test_special_places_are_exact():

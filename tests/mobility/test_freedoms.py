@@ -374,7 +374,7 @@ def test_where_self_motions_branch_the_direction_chooses():
     """
     s = planar_arm(1.0, 1.0, 1.0)
     q = np.array([0.0, math.pi, 0.0])
-    with pytest.raises(InputError, match="branch here: say by `direction`"):
+    with pytest.raises(InputError, match="branch here: `direction` chooses one"):
         s.inverse.self_motion(q, "tip", task="position")
     for direction, way in (("q1", (1.0, 0.0, -1.0)), ("q2", (-1.0, 1.0, -1.0))):
         m = s.inverse.self_motion(

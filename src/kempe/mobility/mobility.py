@@ -132,7 +132,9 @@ def _find_hint(system: Model, found: Mobility) -> str:
         return ""
     if found.dof == 0:
         near = find_nearest_quickly(system)
-        return wording.suggest_near_mechanism(near.least, near.freedoms) if near else ""
+        if near is None or not near.freedoms:
+            return ""
+        return wording.suggest_near_mechanism(near.least, near.freedoms)
     more = found.dof > found.gruebler and not found.singular  # else branches are told apart
     folded = find_coinciding_joints(system, found.q) if more else []
     return wording.describe_fold(folded) if folded else ""
