@@ -105,7 +105,7 @@ def draw_page() -> Iterator[Image.Image]:
         tab.wait_for_timeout(5000)
         page = next(iter(viewer.pages.values()))
         camera = page.client.camera
-        camera.position = camera.look_at + 0.62 * (camera.position - camera.look_at)
+        camera.position = camera.look_at + 0.85 * (camera.position - camera.look_at)
         tab.wait_for_timeout(3000)
 
         def find_arrow(k: int) -> np.ndarray:

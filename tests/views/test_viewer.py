@@ -801,7 +801,7 @@ def test_the_legend_says_what_is_laid_on_the_page(browser):
         def texts():
             return [row.inner_text() for row in rows()]
 
-        assert seen.until(lambda: texts() == ["target of e: x, y, z"])
+        assert seen.until(lambda: texts() == ["target of e: x, y, both"])
         seen.press("workspace")
         assert seen.until(lambda: texts()[1:] == ["reached in several ways", "boundary"])
         seen.press("singular configurations")

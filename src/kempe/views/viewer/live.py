@@ -420,7 +420,8 @@ class Page:
     def _list_legend(self) -> list[tuple[str, str]]:
         """List the colours on the page beside those of the links, and what each means."""
         session = self.session
-        rows = [(HANDLES, f"target of {session.frame}: x, y, z")]
+        handles = "x, y, both" if session.system.dim == 2 else "x, y, z"
+        rows = [(HANDLES, f"target of {session.frame}: {handles}")]
         rows += [row for legend in self.nodes.legends.values() for row in legend]
         if session.target is not None:
             rows.append((style.OPEN, "from the nearest configuration to the target"))
