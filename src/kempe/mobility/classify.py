@@ -714,22 +714,25 @@ class _Classifier:
     def _classify_constraints(self, place: EvaluationPoint) -> Mapping[str, ConstraintKind]:
         """Classify each constraint alone, until the time is spent."""
         each: dict[str, ConstraintKind] = {}
+        whole = -1
         for name, rows in self.of.items():
             if self.time.spent:
                 continue
             try:
-                each[name] = self._classify_constraint(place, name, rows)
+                whole = place.compute_null_space().dimension if whole < 0 else whole
+                each[name] = self._classify_constraint(place, whole, name, rows)
             except TimeUp:
                 if not self.time.spent:
                     raise
         return ReadOnlyDict(each)
 
     def _classify_constraint(
-        self, place: EvaluationPoint, name: str, own: list[int]
+        self, place: EvaluationPoint, whole: int, name: str, own: list[int]
     ) -> ConstraintKind:
-        """Classify one constraint alone with the constraints of position."""
+        """Classify one constraint alone with the constraints of position, which together leave
+        `whole` freedoms.
+        """
         rows = self.rows.names
-        whole = place.compute_null_space().dimension
         names = tuple(rows[i].name for i in own)
         which = self.list_velocity_rows([name]) if name in self.moving else []
         if not which:

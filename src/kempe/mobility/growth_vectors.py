@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from kempe.budget import check_for_stop
 from kempe.equations.velocity import VelocityRows
 from kempe.kernels.compiled import lie_brackets
-from kempe.numerics.rank import LARGE, Level, Spectrum
+from kempe.numerics.rank import Level, Spectrum
 from kempe.spatial import Array
 
 ROUNDING = 30.0
@@ -134,18 +135,13 @@ def _compute_null_space(
 
 def _choose_pivots(matrix: Array, count: int) -> np.ndarray:
     """Choose the columns that a QR decomposition with pivoting takes first."""
-    rest = matrix.copy()
-    taken: list[int] = []
-    for _ in range(count):
-        if rest.size > LARGE:
-            check_for_stop()
-        lengths = np.sum(rest * rest, axis=0)
-        lengths[taken] = -1.0
-        k = int(np.argmax(lengths))
-        taken.append(k)
-        x = rest[:, k] / np.sqrt(lengths[k])
-        rest -= np.outer(x, x @ rest)
-    return np.array(taken, dtype=np.int64)
+    import scipy.linalg  # only here: it takes long
+
+    if not count:
+        return np.zeros(0, dtype=np.int64)
+    library: Any = scipy.linalg
+    _, order = library.qr(matrix, mode="r", pivoting=True, check_finite=False)
+    return order[:count].astype(np.int64)
 
 
 class Words:
