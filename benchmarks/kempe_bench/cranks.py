@@ -151,6 +151,24 @@ def _noise(system: System) -> np.ndarray:
     return NOISE * np.random.default_rng(0).normal(size=system.nv)
 
 
+def scissor_lift(n: int) -> System:
+    """A scissor lift of n stages: crossed bars of 1 m, the foot of one on a rail; one freedom."""
+    out = Mechanism(f"scissor lift of {n} stages", dim=2)
+    for k in range(n):
+        out.body(f"a{k}")
+        out.body(f"b{k}")
+    out.body("foot")
+    out.revolute("base", out.ground, "a0")
+    out.prismatic("rail", out.ground, "foot", axis=(1, 0))
+    out.revolute("hinge", "foot", "b0")
+    for k in range(n):
+        out.revolute(f"middle{k}", f"a{k}", f"b{k}", at=(0.5, 0), child_at=(0.5, 0))
+        if k + 1 < n:
+            out.revolute(f"right{k}", f"a{k}", f"b{k + 1}", at=(1, 0))
+            out.revolute(f"left{k}", f"b{k}", f"a{k + 1}", at=(1, 0))
+    return out.build()
+
+
 def four_bars(n: int) -> System:
     """A row of n four-bars: n + 1 cranks on the ground, neighbours joined by couplers; one freedom."""
     out = Mechanism(f"row of {n} four-bars", dim=2)

@@ -16,10 +16,12 @@ from kempe_bench.timing import Case, Grid, Row, measure
 SAMPLES = 361
 SWING = 0.5
 """Amplitude of the input, in radians: no mechanism meets a dead point within it."""
-MECHANISMS = {"four_bar": "A", "slider_crank": "A", "bennett": "q1", "jansen": None}
+MECHANISMS = {"four_bar": "A", "slider_crank": "A", "bennett": "q1", "jansen": None, "rssr": None}
 """Shipped mechanisms and their drivers; None: the first coordinate."""
 LONG = 30
 """Four-bars in a row that is driven."""
+STAGES = 10
+"""Stages of the scissor lift, in whose flat states very many branches meet."""
 TURNS = 3
 
 
@@ -36,6 +38,9 @@ def motions(bench: Bench) -> Grid:
         systems.append((name, system, driver or system.coordinate_names[0], system.q("closed")))
     row = cranks.four_bars(LONG)
     systems.append((f"row of {LONG} four-bars", row, "A0", row.assemble({"A0": 0.2}).q))
+    lift = cranks.scissor_lift(STAGES)
+    guess = {"base": 0.9} | {f"middle{k}": math.pi - 1.8 for k in range(STAGES)}
+    systems.append((lift.name, lift, "base", lift.assemble({"base": 0.9}, start=guess).q))
     for name, system, driver, start in systems:
         bench.say(f"  {name}")
         first = float(start[system.coordinate_names.index(driver)])
