@@ -43,7 +43,7 @@ def test_a_map_is_made_drawn_and_looked_up():
         refused = Result("query", "map.zarr", point)
         assert refused.code == 2 and said in refused.err, refused.err
     shown = " ".join(Result("query", "--help").out.replace("│", " ").split())
-    assert "in metres, in the ground frame" in shown
+    assert "in the unit of the map, in the ground frame" in shown
 
 
 def test_the_text_says_what_is_proven():

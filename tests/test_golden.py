@@ -4,6 +4,7 @@ differences.
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -23,6 +24,19 @@ a sample closes, which way a trace begins. One commit answers differently on two
 so these are compared by hand, too: on one machine, before and after a change."""
 
 
+NAMED = re.compile(r'.*, ik_path, status of .*: "(.*)" became "(.*)"')
+"""A sentence of `ik_path` and another one: which of joints that are alike stops a symmetric mechanism
+is decided by rounding, too."""
+
+
+def differs_in_names_only(difference: str) -> bool:
+    """Whether two sentences of `ik_path` are the same but for the names of joints."""
+    found = NAMED.fullmatch(difference)
+    return (
+        found is not None and len({re.sub("'[^']*'", "''", text) for text in found.groups()}) == 1
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", golden.names())
 def test_answers_are_those_of_the_record(name):
@@ -32,6 +46,7 @@ def test_answers_are_those_of_the_record(name):
         x
         for x in golden.differences(name, RTOL)
         if not x.startswith(tuple(f"{name}, {verb}," for verb in ROUNDED))
+        and not differs_in_names_only(x)
     ]
     assert not found, "\n".join(found)
 

@@ -254,6 +254,8 @@ def run_page(path: Path, folder: Path) -> list[Outcome]:
         "NO_COLOR": "1",
         "COLUMNS": str(WIDTH),
         "TERM": "dumb",
+        # signs of null vectors are those of one kind of processor
+        "OPENBLAS_CORETYPE": "Haswell",
     }
     done = subprocess.run(
         command, cwd=work, env=os.environ | settings, stderr=subprocess.PIPE, text=True

@@ -799,7 +799,13 @@ def test_the_legend_says_what_is_laid_on_the_page(browser):
             return seen.tab.get_by_text("target of e").locator("xpath=..").locator("div").all()
 
         def texts():
-            return [row.inner_text() for row in rows()]
+            return seen.tab.evaluate(
+                """() => {
+                    const all = [...document.querySelectorAll("div")];
+                    const first = all.findLast((one) => one.innerText?.startsWith("target of e"));
+                    return first ? [...first.parentNode.children].map((one) => one.innerText) : [];
+                }"""
+            )
 
         assert seen.until(lambda: texts() == ["target of e: x, y, both"])
         seen.press("workspace")

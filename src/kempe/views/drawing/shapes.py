@@ -4,6 +4,7 @@ arrows.
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -32,8 +33,9 @@ def make_rounded_outline(points: Array, radius: float) -> Path:
     for k, corner in enumerate(corners):
         start = normals[k - 1]
         stop = normals[k]
-        stop = start + (stop - start) % 360.0
-        arc = Path.arc(start, stop if stop > start + 1e-6 else start + 1e-6)
+        angle = max((stop - start) % 360.0, 1e-6)
+        parts = 2 ** math.ceil(angle / 90.0 - 1e-6)  # where rounding does not decide
+        arc = Path.arc(start, start + angle, parts)
         unit = np.asarray(arc.vertices)
         vertices.append(corner + radius * unit)
         codes += [Path.LINETO if vertices[1:] else Path.MOVETO, *[Path.CURVE4] * (len(unit) - 1)]
