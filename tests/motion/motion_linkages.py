@@ -215,3 +215,19 @@ def two_parallelograms() -> System:
             "other": ("F", "E"),
         },
     )
+
+
+def row_of_four_bars(n: int, wider: float = 0.0) -> System:
+    """A row of n four-bars: n + 1 cranks on the ground, neighbours joined by couplers. Each second
+    coupler is `wider` than a parallelogram's.
+    """
+    m = Mechanism(f"row of {n} four-bars", dim=2)
+    for i in range(n + 1):
+        m.revolute(f"A{i}", m.ground, m.body(f"crank{i}"), at=(i, 0))
+    for i in range(n):
+        coupler = m.body(f"coupler{i}")
+        m.revolute(f"B{i}", f"crank{i}", coupler, at=(0, 0.5))
+        m.revolute(
+            f"C{i}", coupler, f"crank{i + 1}", at=(1.0 + wider * (i % 2), 0), child_at=(0, 0.5)
+        )
+    return m.build()

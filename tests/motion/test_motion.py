@@ -24,6 +24,7 @@ from motion_linkages import (
     ladder,
     linkage,
     peaucellier,
+    row_of_four_bars,
     same_angle,
     slider_crank,
     two_parallelograms,
@@ -846,15 +847,7 @@ def test_a_scissor_lift_passes_straight_through_its_flat_states():
 
 def test_of_very_many_branches_some_are_found_and_that_is_said():
     """A flat row of n parallelograms has 2^n branches."""
-    m = Mechanism("row", dim=2)
-    for i in range(9):
-        m.body(f"crank{i}")
-        m.revolute(f"A{i}", "ground", f"crank{i}", at=(i, 0))
-    for i in range(8):
-        m.body(f"coupler{i}")
-        m.revolute(f"B{i}", f"crank{i}", f"coupler{i}", at=(0, 0.5))
-        m.revolute(f"C{i}", f"coupler{i}", f"crank{i + 1}", at=(1, 0), child_at=(0, 0.5))
-    system = m.build()
+    system = row_of_four_bars(8)
     path = system.trace(start=system.assemble({"A0": 0.2}).q)
     assert path.closed
     event = path.singular_points[0]

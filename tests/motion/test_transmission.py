@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 import pytest
-from motion_linkages import bennett, four_bar, jansen, linkage, slider_crank
+from motion_linkages import bennett, four_bar, jansen, linkage, row_of_four_bars, slider_crank
 
 import kempe
 from kempe import Mechanism, spatial
@@ -280,27 +280,11 @@ def test_a_joint_on_the_ground_has_no_transmission_angle():
 # ---- long chains
 
 
-def row_of_four_bars(n):
-    """A row of n four-bars, not parallelograms: n + 1 cranks on the ground, neighbours joined by
-    couplers.
-    """
-    m = Mechanism(f"row of {n} four-bars", dim=2)
-    for i in range(n + 1):
-        m.revolute(f"A{i}", m.ground, m.body(f"crank{i}"), at=(i, 0))
-    for i in range(n):
-        coupler = m.body(f"coupler{i}")
-        m.revolute(f"B{i}", f"crank{i}", coupler, at=(0, 0.5))
-        m.revolute(
-            f"C{i}", coupler, f"crank{i + 1}", at=(1.0 + 0.01 * (i % 2), 0), child_at=(0, 0.5)
-        )
-    return m.build()
-
-
 def test_velocities_of_a_long_chain_take_no_dense_decomposition(monkeypatch):
     """Where the inputs determine all else, sparse factors give the same matrix, rank and margin as
     dense ones.
     """
-    system = row_of_four_bars(40)
+    system = row_of_four_bars(40, wider=0.01)
     q = system.assemble({"A0": 0.2}).q
     outputs = ["A40", "coupler20", "C3"]
     with monkeypatch.context() as patch:
@@ -322,7 +306,7 @@ def test_velocities_of_a_long_chain_take_no_dense_decomposition(monkeypatch):
 
 def test_a_dead_point_of_a_long_chain_is_left_to_the_dense_decomposition():
     """With the second crank in line with its coupler, the first one cannot move; the rank says so."""
-    m = row_of_four_bars(40).mechanism
+    m = row_of_four_bars(40, wider=0.01).mechanism
     m.body("slider")
     m.prismatic("S", m.ground, "slider", at=(-2, 0), axis=(1, 0))
     rod = m.body("rod")

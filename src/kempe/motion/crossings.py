@@ -302,15 +302,6 @@ class Branches(NamedTuple):
     complete: bool = True
 
 
-def find_branch_lines(equations: Closure, x: Array, toward: Array | None = None) -> Branches:
-    """Find the branches through a singular point by second order; the search begins at the
-    direction `toward` (n,).
-    """
-    cone = compute_tangent_cone(equations, x, toward)
-    lines = _select_walkable_directions(equations, x, cone.lines)
-    return Branches(lines, complete=cone.complete)
-
-
 def find_touching_branches(equations: Closure, x: Array) -> Germ | None:
     """Find the germ of the curve at a singular point, where second order does not tell its
     branches.

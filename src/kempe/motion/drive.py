@@ -47,7 +47,7 @@ from kempe.model.configurations import (
 from kempe.model.packed_loops import PackedLoops, pack_loops
 from kempe.model.time_coordinate import add_time_coordinate, list_timed_constraints
 from kempe.motion.crossings import (
-    find_branch_lines,
+    find_branches,
     hold_rank,
     locate_singular_point,
     make_singular_node,
@@ -337,11 +337,9 @@ class SegmentContext:
                 "moved independently; drive fewer of them"
             )
         polished = locate_singular_point(way, x, here.nullity, 1e-5)
-        toward = None
-        if state.velocity is not None:
-            toward = np.append(state.velocity, 0.0)
+        toward = None if state.velocity is None else np.append(state.velocity, 0.0)
         at = x if polished is None else polished
-        lines, _, complete = find_branch_lines(way, at, toward)
+        lines, _, complete = find_branches(way, at, toward)
         lines = lines[np.abs(lines[:, -1]) > FORWARD]
         if not len(lines):
             J = self.closure.compute_jacobian(state.q)
@@ -1113,7 +1111,6 @@ def _follow_inputs(
             f"inputs is {format_value(inputs)}; it must be a dict of values by coordinate name"
         )
     inputs = given
-    warn_of_degrees_in_values(system, inputs)
     read_flag(limits, "limits")
     spend = USUAL.complete_budget(budget)
     if list_timed_constraints(system):
@@ -1132,6 +1129,7 @@ def _follow_inputs(
             time,
         )
         return _remove_time(found, system)
+    warn_of_degrees_in_values(system, inputs)
     names = list(inputs)
     index = [find_angle_or_slide(system, n) for n in names]
     if hold and set(hold) & set(names):
